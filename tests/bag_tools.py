@@ -50,8 +50,7 @@ def make_bag(
 
 def stamp_twist(content: Any) -> Any:
     """A TwistStamped of a Twist."""
-    header = messages.make_ros_header(0, "base_link")
-    return messages.make_message("geometry_msgs/msg/TwistStamped", header=header, twist=content)
+    return messages.make_blank("geometry_msgs/msg/TwistStamped", twist=content)
 
 
 def without_velocities(topic: str, content: Any) -> Any:
@@ -69,7 +68,7 @@ def write_mcap(path: Path, bag: Bag) -> Path:
         channels: dict[str, int] = {}
         for topic, kind, time, data in bag:
             if topic not in channels:
-                definition = messages.type_definition(kind)
+                definition = messages.define(kind)
                 schema = writer.register_schema(kind, "ros2msg", definition)
                 channels[topic] = writer.register_channel(topic, "cdr", schema)
             writer.add_message(channels[topic], time, data, time)

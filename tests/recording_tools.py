@@ -48,9 +48,3 @@ def record_drive(path: Path, *ways: list[tuple[float, float, int]]) -> Path:
                 for _ in range(ticks):
                     robot.drive(linear, angular)
     return path
-
-
-def begun(path: Path) -> bytes:
-    """The first two thirds of a recording's chunks, as while it is being written."""
-    data = path.read_bytes()
-    return data[: 2 * data.index(b"acsar_gym_end") // 3]

@@ -13,17 +13,13 @@ from acsar_gym import Robot, RobotConfig
 from acsar_gym.links import open_link
 from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.protocol import Speeds
-from acsar_gym.recording.types import Episode, Exchanges, Recording, Scans, WireLog
+from acsar_gym.recording.types import Episode, Recording, Scans, WireLog
 from acsar_gym.worlds import Pose, Scene
 
 SLICES = 20
 """Parts of a tick whose bytes have stamps of their own."""
 HIDDEN: dict[str, Any] = {"motor": {"time_constant": 0.14}, "body": {"friction": 0.7}}
 """Changes that make a robot whose default twin is wrong."""
-
-
-NOTHING = np.zeros(0, np.int64)
-NO_EXCHANGES = Exchanges(NOTHING, np.zeros(0), NOTHING, NOTHING, np.zeros(0), np.zeros((0, 6)))
 
 
 class Tap(LinkWrapper):
@@ -143,7 +139,6 @@ def of_rows(log: WireLog, rows: list[Any], info: Mapping[str, Any], **arrays: An
     nothing: dict[str, Any] = {
         "terminated": False,
         "step_stamps": np.zeros(0),
-        "exchanges": NO_EXCHANGES,
         "asked": twists,
         "sent": twists,
         "reasons": np.zeros(n, np.int64),

@@ -82,14 +82,11 @@ def test_a_unit_runs_a_command_that_there_is(path: Path, monkeypatch: pytest.Mon
     first, *words = command(path)
     assert first == PLACE
     given = parse(words, monkeypatch)
-    if words[0] == "run":
-        assert given["yes"]  # nobody is there to press a key
-        assert given["robot"].link == "/dev/acsar"
-        assert str(given["robot"].record).startswith("/var/lib/acsar/")
-        assert given["host"].realtime + 1 <= int(unit(path)["Service"]["LimitRTPRIO"][0])
-    else:
-        assert given["source"] == "/var/lib/acsar/drive.mcap"
-        assert given["options"].live
+    assert words[0] == "run"
+    assert given["yes"]  # nobody is there to press a key
+    assert given["robot"].link == "/dev/acsar"
+    assert str(given["robot"].record).startswith("/var/lib/acsar/")
+    assert given["host"].realtime + 1 <= int(unit(path)["Service"]["LimitRTPRIO"][0])
 
 
 def test_a_stop_of_the_unit_leaves_the_watchdog_its_time() -> None:

@@ -36,7 +36,7 @@ from acsar_gym.physics.bodies import BODIES, LINKS_WITH_CAMERA
 from acsar_gym.physics.body import Image
 from acsar_gym.physics.randomization import Randomizer
 from acsar_gym.recording import Recorder
-from acsar_gym.recording.encoder import Stepped
+from acsar_gym.recording.events import Stepped
 from acsar_gym.render.renderer import Screen
 from acsar_gym.robot import Robot
 from acsar_gym.sensors import LIDAR, Sensor

@@ -1,107 +1,83 @@
-"""Makes recordings of ROS 2 bags: MCAP files, SQLite files (.db3), and folders of them.
+"""Makes recordings of ROS 2 bags.
 
-A bag has no bytes of a wire. What it has is written as a recording of this package: joint states,
+A bag has no bytes of a wire. Its messages are written as a recording of this package: joint states,
 or else an odometry's twists, as feedback lines; twists of /cmd_vel, by the robot's kinematics, as
-command lines, each at the time at which the bag has it; scans. So every tool reads it.
+command lines, each at the time at which the bag has it; and scans. So every tool reads it.
 """
 
 from __future__ import annotations
 
 import atexit
-import hashlib
 import math
 import shutil
-import sqlite3
 import tempfile
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import (
     ConfigError,
+    LidarError,
     RecordingWarning,
     escape_unprintable,
-    explain_error,
-    require_extra,
     show_value,
 )
+from acsar_gym.lidar.laser_scan import LaserScan, Mount, read_scan
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Speeds, encode
 from acsar_gym.reading import open_file
-from acsar_gym.recording import messages
-from acsar_gym.recording.encoder import Began, Encoder, Event, Exchange, Scanned, Tick, Written
-from acsar_gym.recording.messages import EPISODE, HEADER_RECORD, make_header
-from acsar_gym.recording.sinks import McapFile
-from acsar_gym.recording.stream import (
-    CHANNEL,
-    MESSAGE,
-    MESSAGE_HEAD,
-    METADATA,
-    SCHEMA,
-    FileCut,
-    RecordStream,
-    parse_record,
-)
-from acsar_gym.worlds.geometry import RaySpec
+from acsar_gym.recording.bag_files import PACKED, BagFiles, BagMessage
+from acsar_gym.recording.blocks import MAGIC, find_block
+from acsar_gym.recording.events import Began, Event, Exchange, Scanned, Tick, Written
+from acsar_gym.recording.messages import load_typestore, make_header
+from acsar_gym.recording.writer import RecordingWriter
+from acsar_gym.ros.joints import WRAPPING_RANGE, JointReader
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ODOMETRY = "nav_msgs/msg/Odometry"
-TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ROLES = {
     "joint states": ((JOINT_STATE,), "/joint_states"),
     "odometry": ((ODOMETRY,), "/odom"),
-    "commands": ((TWIST, TWIST_STAMPED), "/cmd_vel"),
+    "commands": (TWISTS, "/cmd_vel"),
     "scans": ((LASER_SCAN,), "/scan"),
 }
 """What is read of a bag: types, and the usual name of the topic."""
-IDENTIFYING_BYTES = 5_000_000  # a recording of this package shows within them what it is
-BATCH = 64  # events that are encoded at once
+IDENTIFYING_BYTES = 5_000_000  # a recording of this package has its first block within these
+BATCH = 300  # events of a block
 MAX_TIME = 2**62  # times are smaller [ns]
-FASTEST_WHEEL = 99.99  # what a line can say, either sign [rad/s]
-
-
-class BagMessage(NamedTuple):
-    """One message of a bag."""
-
-    topic: str
-    kind: str
-    """Type, such as "sensor_msgs/msg/JointState"."""
-    time: int
-    """When it was recorded [ns]."""
-    data: bytes
-    """In CDR."""
+FASTEST_WHEEL = 99.99  # largest speed that a line can express, either sign [rad/s]
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is a recording of this package; ConfigError where it can't be read."""
-    if path.is_dir() or path.suffix == ".db3":
+    """Whether a file is a recording of this package; ConfigError if it can't be read."""
+    if path.is_dir() or path.suffix in (".db3", PACKED):
         return False
     with open_file(path) as file:
-        stream = RecordStream(file, ())
-        try:
-            for opcode, content in stream:
-                if opcode == METADATA and parse_record("Metadata", content).name == HEADER_RECORD:
-                    return True
-                if opcode == CHANNEL and parse_record("Channel", content).topic == EPISODE.name:
-                    return True
-                if stream.at > IDENTIFYING_BYTES:
-                    break
-        except FileCut:
-            pass
-        return not stream.counts  # what isn't a bag, either, is said by whoever reads it
+        is_mcap = file.read(len(MAGIC)) == MAGIC
+        # Reading a recording reports what is neither.
+        return not is_mcap or find_block(file, 0, IDENTIFYING_BYTES) >= 0
 
 
 def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] = ()) -> Path:
-    """Return a recording: the file itself, or one made of a bag; ConfigError where it can't be."""
+    """Return a recording: the file itself, or a file that is made of a bag.
+
+    Args:
+        path: A recording, or a bag: an MCAP file, a .db3 file, or a folder of rosbag2.
+        robot: Robot of a bag.
+        topics: Topics of a bag that are used, or namespaces; all if empty.
+
+    Raises:
+        ConfigError: It is neither, or the bag has no wheel speeds.
+    """
     if is_recording(path):
         if topics:
             raise ConfigError(f"{path}: --topics is for ROS 2 bags; this is a recording")
@@ -110,108 +86,122 @@ def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] 
         raise ConfigError(f"{path}: is a ROS 2 bag: name its robot with --robot PRESET|FILE")
     folder = Path(tempfile.mkdtemp(prefix="acsar-gym-bag-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    (folder / "unpacked").mkdir()
     target = folder / f"{path.stem if path.is_file() else path.name}.mcap"
     import_bag(path, robot, target, topics)
     return target
 
 
 def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[str] = ()) -> None:
-    """Write what a bag holds as a recording. See `open_recording`."""
-    files = find_files(path)
-    chosen = choose_topics(path, survey_topics(files), topics, robot)
+    """Write a bag as a recording. Arguments and errors are those of `open_recording`."""
+    files = BagFiles(path, target.parent / "unpacked")
+    survey: dict[str, BagMessage] = {}
+    for message in files.read_messages():
+        survey.setdefault(message.topic, message)
+    chosen = choose_topics(path, survey, topics, robot)
+    joints = chosen.get("joint states")
+    wraps = joints is None or check_positions(path, files, survey[joints], robot)
+    converter = BagConverter(robot, chosen, wraps=wraps)
+
     header = make_header(robot, {"command": "bag", "bag": path.name, "topics": chosen})
-    file: McapFile | None = None
-    converter = BagConverter(robot, chosen)
-    encoder, events = Encoder(robot), list[Event]()
-    try:
-        for message in read_messages(files, set(chosen.values())):
-            if file is None:
-                digest = hash_bag(files)
-                header |= {"process": 0, "cut": {"of": digest}}
-                header["created"] = {"wall": message.time, "monotonic": 0}
-                file = McapFile(target, header)
-            events += converter.take(message)
-            if len(events) >= BATCH:
-                for encoded in encoder.encode(events, 0):
-                    file.add(encoded)
-                events.clear()
-        if file is None or not converter.has_feedback:
-            raise ConfigError(f"{path}: has no wheel speeds on {', '.join(chosen.values())}")
-        for encoded in encoder.encode([*events, *converter.finish()], 0):
-            file.add(encoded)
-        file.close(0)
-    finally:
-        if file is not None:
-            file.abandon()
+    wanted = set(chosen.values())
+    writer: RecordingWriter | None = None
+    events: list[Event] = []
+    for message in files.read_messages():
+        if message.topic not in wanted:
+            continue
+        if writer is None:
+            header |= {"process": 0, "source": files.compute_hash()}
+            header["created"] = {"wall": message.time, "monotonic": 0}
+            writer = RecordingWriter(target, robot, header)
+        events += converter.take(message)
+        if len(events) >= BATCH:
+            writer.add(events)
+            writer.write_block()
+            events.clear()
+
+    if writer is None or not converter.has_feedback:
+        raise ConfigError(f"{path}: has no wheel speeds on {', '.join(chosen.values())}")
+    writer.add([*events, *converter.finish()])
+    writer.close(0)
+    if converter.refused:
+        counts = ", ".join(f"{count:,} {kind}" for kind, count in converter.refused.items())
+        text = f"{path}: messages of {joints} were left out: {counts}"
+        warnings.warn(escape_unprintable(text), RecordingWarning, stacklevel=3)
 
 
-def find_files(path: Path) -> list[Path]:
-    """List the files of a bag, in order; a folder with metadata is one itself.
+def check_positions(path: Path, files: BagFiles, joints: BagMessage, robot: RobotConfig) -> bool:
+    """Whether positions of joint states may wrap at full turns.
 
-    A program that was killed has written no metadata.
+    Raises:
+        ConfigError: There are only positions, and it is unknown how far wheels turned between them.
     """
-    if not path.is_dir() or (path / "metadata.yaml").exists():
-        return [path]
-    if files := sorted([*path.glob("*.mcap"), *path.glob("*.db3")]):
-        return files
-    raise ConfigError(f"{path}: holds no ROS 2 bag: no metadata.yaml, .mcap or .db3")
+    content = deserialize(joints.data, JOINT_STATE)
+    if content is None or _has_velocities(content):
+        return True
+    largest = 0.0
+    times: list[float] = []
+    for message in files.read_messages():
+        content = deserialize(message.data, JOINT_STATE) if message.topic == joints.topic else None
+        if content is not None:
+            if _has_velocities(content):
+                return True
+            positions = [abs(position) for position in content.position if math.isfinite(position)]
+            largest = max(largest, *positions, 0.0)
+            times.append(message.time / 1e9)
+
+    if largest >= WRAPPING_RANGE:
+        return False
+    pause = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    if pause * robot.max_wheel_speed > math.pi:
+        raise ConfigError(
+            f"{path}: {joints.topic} has positions without velocities, {1.0 / pause:.1f} times a "
+            f"second: a wheel at {robot.max_wheel_speed:g} rad/s turns by more than half a turn "
+            "meanwhile, so its speed is unknown"
+        )
+    return True
 
 
-def hash_bag(files: Sequence[Path]) -> str:
-    """First 16 hex digits of a hash of all files of a bag."""
-    digests = []
-    for path in files:
-        for part in sorted(filter(Path.is_file, path.iterdir())) if path.is_dir() else [path]:
-            with open_file(part) as file:
-                digests.append(hashlib.file_digest(file, "sha256").digest())
-    return hashlib.sha256(b"".join(digests)).hexdigest()[:16]
-
-
-def survey_topics(files: Sequence[Path]) -> dict[str, tuple[str, int, bytes]]:
-    """Return the topics of a bag by name: type, number of messages, and the first message."""
-    kinds: dict[str, str] = {}
-    firsts: dict[str, bytes] = {}
-    counts: Counter[str] = Counter()
-    for message in read_messages(files, None):
-        counts[message.topic] += 1
-        if message.topic not in kinds:
-            kinds[message.topic] = message.kind
-            firsts[message.topic] = message.data
-    return {topic: (kind, counts[topic], firsts[topic]) for topic, kind in kinds.items()}
+def _has_velocities(content: Any) -> bool:
+    return len(content.velocity) > 0 and not np.isnan(content.velocity).all()
 
 
 def choose_topics(
-    path: Path,
-    found: dict[str, tuple[str, int, bytes]],
-    given: Sequence[str],
-    robot: RobotConfig,
+    path: Path, survey: Mapping[str, BagMessage], wanted: Sequence[str], robot: RobotConfig
 ) -> dict[str, str]:
     """Choose a bag's topic for each role of `ROLES` that it has.
 
+    Args:
+        path: The bag.
+        survey: The first message of each topic.
+        wanted: Topics or namespaces that the user named; all if empty.
+        robot: Robot configuration.
+
     Raises:
-        ConfigError: there are no wheel speeds, or several topics of a role.
+        ConfigError: There are no wheel speeds, or several topics of a role.
     """
-    listed = ", ".join(f"{name} ({kind})" for name, (kind, _, _) in sorted(found.items()))
-    for name in given:
-        if not any(is_below(topic, name) for topic in found):
-            raise ConfigError(
-                f"{path}: has no topic {show_value(name)}: it has {escape_unprintable(listed, 300)}"
-            )
+    listing = ", ".join(f"{name} ({topic.kind})" for name, topic in sorted(survey.items()))
+    for name in wanted:
+        if not any(is_below(topic, name) for topic in survey):
+            listing = escape_unprintable(listing, 300)
+            raise ConfigError(f"{path}: has no topic {show_value(name)}: it has {listing}")
+
     chosen: dict[str, str] = {}
     for role, (kinds, usual) in ROLES.items():
+        if role == "odometry" and chosen:
+            continue
         names = [
             name
-            for name, (kind, _, first) in found.items()
-            if kind in kinds
-            and (not given or any(is_below(name, wanted) for wanted in given))
-            and (role != "joint states" or find_wheels(_joint_names(first), robot))
+            for name, topic in survey.items()
+            if topic.kind in kinds
+            and (not wanted or any(is_below(name, prefix) for prefix in wanted))
+            and (role != "joint states" or find_wheels(_joint_names(topic), robot))
         ]
-        if role == "odometry" and "joint states" in chosen:
-            continue
-        usual_names = [name for name in names if name == usual] or [
-            name for name in names if name.endswith(usual)
-        ]
-        names = usual_names or names
+        for usual_names in (
+            [n for n in names if n.endswith(usual)],
+            [n for n in names if n == usual],
+        ):
+            names = usual_names or names
         if len(names) > 1:
             topics = escape_unprintable(", ".join(sorted(names)), 300)
             raise ConfigError(
@@ -220,21 +210,16 @@ def choose_topics(
             )
         if names:
             chosen[role] = names[0]
+
     if not {"joint states", "odometry"} & set(chosen):
-        joints = [
-            name
-            for _, (kind, _, first) in found.items()
-            if kind == JOINT_STATE
-            for name in _joint_names(first)
-        ]
-        holds = ""
+        joints = [joint for topic in survey.values() for joint in _joint_names(topic)]
+        holds = f"it has {listing}"
         if joints:
-            listed_joints = escape_unprintable(", ".join(joints), 300)
-            holds = f"its joints are {listed_joints}; write the wheels' into ros2.joints of --robot"
-        holds = holds or f"it has {escape_unprintable(listed, 300) or 'no messages'}"
+            listing = escape_unprintable(", ".join(joints), 200)
+            holds = f"its joints are {listing}: write the wheels' into ros2.joints of --robot"
         raise ConfigError(
             f"{path}: has no wheel speeds, neither joint states of the robot's wheels nor an "
-            f"odometry: {holds}"
+            f"odometry: {escape_unprintable(holds, 300)}"
         )
     return chosen
 
@@ -248,13 +233,13 @@ def is_below(topic: str, name: str) -> bool:
 def deserialize(message: bytes, kind: str) -> Any:
     """Decode a message; None where it is broken."""
     try:
-        return messages.load_typestore().deserialize_cdr(message, kind)
+        return load_typestore().deserialize_cdr(message, kind)
     except Exception:  # noqa: BLE001 - a broken message can make it raise anything
         return None
 
 
-def _joint_names(data: bytes) -> list[str]:
-    state = deserialize(data, JOINT_STATE)
+def _joint_names(message: BagMessage) -> list[str]:
+    state = deserialize(message.data, JOINT_STATE) if message.kind == JOINT_STATE else None
     return [] if state is None else [str(name) for name in state.name]
 
 
@@ -264,107 +249,42 @@ def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | N
     return tuple(map(names.index, joints)) if {*joints} <= {*names} else None
 
 
-def read_messages(files: Sequence[Path], topics: set[str] | None) -> Iterator[BagMessage]:
-    """Yield the messages of a bag; ConfigError where a file can't be read."""
-    for path in files:
-        if path.is_dir():
-            reader: Callable[[Path, set[str] | None], Iterator[BagMessage]] = _read_folder
-        else:
-            reader = _read_sqlite if path.suffix == ".db3" else _read_mcap
-        yield from reader(path, topics)
-
-
-def _read_mcap(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
-    """Read an MCAP file, also one without its end."""
-    schemas: dict[int, str] = {}
-    channels: dict[int, tuple[str, str]] = {}
-    with open_file(path) as file:
-        stream = RecordStream(file, channels)
-        try:
-            for opcode, content in stream:
-                if opcode == SCHEMA:
-                    schema = parse_record("Schema", content)
-                    schemas[schema.id] = schema.name
-                elif opcode == CHANNEL:
-                    channel = parse_record("Channel", content)
-                    is_wanted = topics is None or channel.topic in topics
-                    if is_wanted and channel.message_encoding == "cdr":
-                        kind = schemas.get(channel.schema_id, "")
-                        channels[channel.id] = channel.topic, kind
-                elif opcode == MESSAGE:
-                    number, _, time, _ = MESSAGE_HEAD.unpack_from(content)
-                    if number in channels:
-                        yield BagMessage(*channels[number], time, content[MESSAGE_HEAD.size :])
-        except FileCut:
-            problems = ["the file is cut: what followed is missing"]
-        else:
-            problems = []
-    problems += [f"is damaged: left out {damage}" for damage in stream.damages]
-    if problems and topics is not None:  # which is the second time
-        text = escape_unprintable(f"{path}: {', '.join(problems[:3])}")
-        warnings.warn(text, RecordingWarning, stacklevel=2)
-
-
-def _read_sqlite(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
-    with open_file(path):  # only regular files
-        pass
-    query = (
-        "SELECT topics.name, topics.type, messages.timestamp, messages.data FROM messages "
-        "JOIN topics ON messages.topic_id = topics.id "
-        "WHERE topics.serialization_format = 'cdr' ORDER BY messages.timestamp"
-    )
-    try:
-        address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-        with closing(sqlite3.connect(address, uri=True)) as database:
-            for topic, kind, time, data in database.execute(query):
-                if topics is None or topic in topics:
-                    yield BagMessage(str(topic), str(kind), int(time), bytes(data))
-    except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
-        raise ConfigError(f"{path}: isn't a ROS 2 bag: {explain_error(error)}") from error
-
-
-def _read_folder(path: Path, topics: set[str] | None) -> Iterator[BagMessage]:
-    """Read a whole folder of rosbag2, packed or not."""
-    with require_extra("reading a ROS 2 bag", "record"):
-        from rosbags.rosbag2 import Reader  # noqa: PLC0415 - optional
-    try:
-        with Reader(path) as reader:
-            for connection, time, data in reader.messages():
-                if topics is None or connection.topic in topics:
-                    yield BagMessage(connection.topic, connection.msgtype, time, bytes(data))
-    except Exception as error:  # whatever the library raises
-        raise ConfigError(f"{path}: can't be read: {explain_error(error)}") from error
-
-
 class BagConverter:
     """Makes events of a robot's messages, as a recorder gets them.
 
-    Attributes: `has_feedback`, whether there were wheel speeds.
+    Args:
+        robot: Robot configuration.
+        topics: Topics by role.
+        wraps: Whether positions of joints may wrap at full turns.
+
+    Attributes:
+        has_feedback: Whether there were wheel speeds.
+        refused: Number of joint states that can't be right, by reason.
     """
 
-    def __init__(self, robot: RobotConfig, topics: dict[str, str]) -> None:
+    def __init__(self, robot: RobotConfig, topics: Mapping[str, str], *, wraps: bool) -> None:
         self.has_feedback = False
+        self.refused: Counter[str] = Counter()
         self._robot = robot
         self._odometry = Odometry.of(robot)
-        roles = {name: role for role, name in topics.items()}
+        self._wraps = wraps
         makers: dict[str, Callable[[Any, float], list[Event]]] = {
             "joint states": self._take_joints,
             "odometry": self._take_odometry,
             "commands": self._take_command,
             "scans": self._take_scan,
         }
-        self._makers = {name: makers[role] for name, role in roles.items()}
+        self._makers = {name: makers[role] for role, name in topics.items()}
+
         self._first = -1
-        self._newest = self._before = 0.0
+        self._newest = self._last_feedback = 0.0
         self._number = 0
         self._sent: list[tuple[float, bytes]] = []
         self._asked = (math.nan, math.nan)
         self._command = (0.0, 0.0)
-        self._names: list[str] | None = None
-        self._wheels: tuple[int, ...] | None = None
-        self._positions: tuple[float, NDArray[np.float64]] | None = None
-        lidar = robot.lidar
-        self._rays = RaySpec(lidar.rays, lidar.max_range, lidar.field_of_view)
+        self._joints: JointReader | None = None
+        self._has_moved = False
+        self._spec = ray_spec(robot)
 
     def take(self, message: BagMessage) -> list[Event]:
         """Return the events of a message."""
@@ -380,101 +300,119 @@ class BagConverter:
 
     def finish(self) -> list[Event]:
         """Return what was sent after the last wheel speeds."""
+        if self._joints is not None:
+            self.refused += self._joints.refused
         return [Written(tuple(self._sent))] if self._sent else []
 
     def _take_command(self, content: Any, stamp: float) -> list[Event]:
         twist = getattr(content, "twist", content)
-        linear, angular = float(twist.linear.x), float(twist.angular.z)
-        if math.isfinite(linear) and math.isfinite(angular):
-            self._asked = self._command = linear, angular
-            speeds, letters = self._make_speeds(linear, angular), self._robot.wheels.motors
+        command = (float(twist.linear.x), float(twist.angular.z))
+        if all(map(math.isfinite, command)):
+            self._asked = self._command = command
+            speeds = self._make_speeds(*command)
+            letters = self._robot.wheels.motors
             line = encode(speeds if letters is None else letters.to_wire(speeds))
             self._sent.append((stamp, line))
         return []
 
     def _make_speeds(self, linear: float, angular: float) -> Speeds:
-        radii = self._robot.wheel_radii
-        right, left = kinematics.compute_sides(
-            linear, angular, *radii, self._robot.effective_separation, FASTEST_WHEEL
+        separation = self._robot.effective_separation
+        sides = kinematics.compute_sides(
+            linear, angular, *self._robot.wheel_radii, separation, FASTEST_WHEEL
         )
-        return right, left, left, right
+        return sides[0], sides[1], sides[1], sides[0]
 
     def _take_odometry(self, content: Any, stamp: float) -> list[Event]:
         twist = content.twist.twist
-        linear, angular = float(twist.linear.x), float(twist.angular.z)
-        if not (math.isfinite(linear) and math.isfinite(angular)):
+        measured = (float(twist.linear.x), float(twist.angular.z))
+        if not all(map(math.isfinite, measured)):
             return []
-        return self._exchange(self._make_speeds(linear, angular), stamp)
+        return self._exchange(self._make_speeds(*measured), stamp)
 
     def _take_joints(self, content: Any, stamp: float) -> list[Event]:
         names = list(content.name)
-        if names != self._names:
-            self._names, self._wheels = names, find_wheels(names, self._robot)
-            self._positions = None
-        if self._wheels is None:
+        if self._joints is None:
+            wheels = find_wheels(names, self._robot)
+            if wheels is None:
+                return []
+            self._joints = JointReader([names[wheel] for wheel in wheels], wraps=self._wraps)
+
+        # A joint_state_publisher that runs beside the robot's own publisher.
+        has_velocities = _has_velocities(content)
+        has_position = bool(np.any(content.position))
+        if self._has_moved and not has_velocities and not has_position:
+            self.refused["with all positions zero"] += 1
             return []
-        places = list(self._wheels)
-        speeds = np.full(4, math.nan)
-        if len(content.velocity) == len(names):
-            speeds = np.asarray(content.velocity, np.float64)[places]
-        if len(content.position) == len(names):
-            now = content.header.stamp.sec + content.header.stamp.nanosec / 1e9
-            positions = np.asarray(content.position, np.float64)[places]
-            before, self._positions = self._positions, (now, positions)
-            if not np.isfinite(speeds).all() and before is not None and now > before[0]:
-                turned = positions - before[1]
-                turned = np.where(  # joints that wrap
-                    np.abs(turned) > math.pi, np.angle(np.exp(1j * turned)), turned
-                )
-                speeds = turned / (now - before[0])
-        if not np.isfinite(speeds).all():
+        self._has_moved = self._has_moved or has_position
+
+        when = content.header.stamp.sec + content.header.stamp.nanosec / 1e9
+        if has_velocities or not when:
+            when = self._first / 1e9 + stamp
+        speeds = self._joints.read(names, content.position, content.velocity, when)
+        if speeds is None:
             return []
-        a, b, c, d = np.clip(speeds, -FASTEST_WHEEL, FASTEST_WHEEL).tolist()
-        return self._exchange((a, b, c, d), stamp)
+        if max(map(abs, speeds)) > FASTEST_WHEEL:
+            self.refused["too fast"] += 1
+            return []
+        return self._exchange(speeds, stamp)
 
     def _exchange(self, speeds: Speeds, stamp: float) -> list[Event]:
         """A feedback line, and the tick that it ends."""
         self.has_feedback = True
-        self._odometry.update(speeds, stamp - self._before)
-        self._before = stamp
+        self._odometry.update(speeds, stamp - self._last_feedback)
+        self._last_feedback = stamp
         letters = self._robot.wheels.encoders
         line = encode(speeds if letters is None else letters.to_wire(speeds))
-        exchange = Exchange(self._number, stamp, tuple(self._sent), ((stamp, line),), None, None)
+
+        exchange = Exchange(
+            number=self._number,
+            stamp=stamp,
+            sent=tuple(self._sent),
+            received=((stamp, line),),
+            lateness=None,
+            truth=None,
+        )
         tick = Tick(
-            self._number,
-            stamp,
-            self._odometry.pose,
-            self._odometry.twist,
-            speeds,
-            self._odometry.wheel_positions,
-            self._asked,
-            self._command,
-            0,
-            None,
-            0.0,
-            0,
+            exchange=self._number,
+            stamp=stamp,
+            pose=self._odometry.pose,
+            twist=self._odometry.twist,
+            speeds=speeds,
+            angles=self._odometry.wheel_positions,
+            asked=self._asked,
+            sent=self._command,
+            reason=0,
+            lateness=None,
+            feedback_age=0.0,
+            refused=0,
         )
         self._number += 1
         self._sent = []
         return [exchange, tick]
 
     def _take_scan(self, content: Any, stamp: float) -> list[Event]:
-        """A scan, sorted into the rays of the robot's LiDAR; and as it was measured."""
-        distances = np.asarray(content.ranges, np.float64)
-        if not (self._number and len(distances)):
+        """A scan, sorted into the rays of the robot's LiDAR, and as it was measured."""
+        scan = LaserScan(
+            angle_min=float(content.angle_min),
+            angle_increment=float(content.angle_increment),
+            time_increment=0.0,
+            scan_time=0.0,
+            range_min=float(content.range_min),
+            range_max=float(content.range_max),
+            ranges=content.ranges,
+            stamp=stamp,
+        )
+        try:
+            revolution = read_scan(scan, Mount(), "scan", timeout=math.inf)
+        except LidarError:
             return []
-        increment = float(content.angle_increment)
-        bearings = float(content.angle_min) + increment * np.arange(len(distances))
-        least, most = max(float(content.range_min), 1e-6), float(content.range_max)
-        with np.errstate(invalid="ignore"):
-            valid = np.isfinite(distances) & (distances >= least) & (distances <= most)
-        if not np.isfinite(bearings).all() or np.abs(bearings).max() > 4.0 * math.pi:
+        if not self._number:
             return []
-        distances = np.where(valid, distances, 0.0)
-        ranges, step = np.full(self._rays.rays, self._rays.reach), self._rays.step
-        off = np.mod(bearings - self._rays.angles()[0] + step / 2.0, 2.0 * math.pi)
-        rays = np.floor(off / step).astype(int)
-        hits = valid & (rays < len(ranges))
-        np.minimum.at(ranges, rays[hits], distances[hits])
-        revolution = bearings, distances, np.full(len(distances), stamp), stamp
+
+        spec = self._spec
+        ranges = np.full(spec.rays, spec.reach)
+        offsets = np.mod(revolution.bearings - spec.angles()[0] + spec.step / 2.0, math.tau)
+        rays = np.floor(offsets / spec.step).astype(int)
+        hits = (revolution.distances > 0.0) & (rays < spec.rays)
+        np.minimum.at(ranges, rays[hits], revolution.distances[hits])
         return [Scanned(self._number - 1, stamp, ranges, revolution)]

@@ -1,6 +1,6 @@
-"""What a recording is made of: its header, its topics, and how their ROS 2 messages are packed.
+"""What other programs read of a recording: its ROS 2 messages, made of its tables.
 
-The header is what is needed to read, repeat and align a recording:
+The header, in the first block, is what is needed to read, repeat and align a recording:
 
 | key | content |
 |---|---|
@@ -9,28 +9,26 @@ The header is what is needed to read, repeat and align a recording:
 | `versions` | of acsar_gym, python, numpy |
 | `process` | id of the process that records, which listens for an emergency stop on hardware |
 | `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; |
-| | /time_reference repeats the wall clock every second |
-| `about` | what the program says about it: `env` (id, kwargs), `task`, `observation` (names of |
-| | its numbers), `policy` (file, sha256), |
-| | `link`, `command`. /acsar/episode tells seed, goal and start of each episode |
+| | the table `clocks` repeats the wall clock every second |
+| `about` | what the program states: `env` (id, kwargs), `task`, `observation` (names of its |
+| | numbers), `policy` (file, sha256), `link`, `command` |
+| `source` | in a recording that was made of a ROS 2 bag: a hash of the bag |
 
 A message whose strings and lists have a fixed length has each of its numbers at a fixed place. So
-many messages are one numpy array with one row each, which costs about as much as one message.
+many messages are one NumPy array with one row each, which costs about as much as one message.
 """
 
 from __future__ import annotations
 
-import hashlib
+import copy
 import json
 import os
 import platform
-import struct
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache, lru_cache
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, partial
 from importlib import metadata
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,12 +36,41 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
 from acsar_gym.errors import require_extra
+from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.protocol import WHEELS
+from acsar_gym.recording.blocks import FORMAT
+from acsar_gym.recording.events import Tables
+from acsar_gym.worlds.geometry import RaySpec
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-RECORDING_FORMAT = 1
-HEADER_RECORD = "acsar_gym"  # name of the metadata record that holds the header
-END_RECORD = "acsar_gym_end"  # name of the metadata record at the end of a complete recording
+Floats = NDArray[np.float64]
+
+NANOSECONDS = 1_000_000_000  # in a second
+BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame; odometry moves it
+WORLD_FRAME = "world"  # frame of the ground truth
+JOINT_NAMES = [f"{wheel}_wheel_joint" for wheel in WHEELS]  # as in acsar.urdf
+SHOWN_RATE = 10.0  # how often a second reasons, lateness and movers are shown [Hz]
+MARKER_HEIGHT = 1.7  # of the cylinder that shows a mover [m]
+MARKER_COLOUR = {"r": 0.56, "g": 0.27, "b": 0.68, "a": 0.8}
+CYLINDER = 3  # type of a marker
+NODE_NAME = "acsar_gym"  # what reports errors
+LOG_ERROR = 40  # level of a rcl_interfaces/msg/Log
+UNMEASURED_VARIANCE = 1e3
+"""Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
+takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
+DIAGONAL = np.arange(0, 36, 7)  # places of the variances in a row-major 6 x 6 matrix
+UNMEASURED = DIAGONAL[2:5]  # z, roll and pitch
+UNMEASURED_RATES = DIAGONAL[1:5]  # velocities along y and z, rates of roll and pitch
+LATCHED_QOS = """- history: 3
+  depth: 0
+  reliability: 1
+  durability: 1
+  deadline: {sec: 9223372036, nsec: 854775807}
+  lifespan: {sec: 9223372036, nsec: 854775807}
+  liveliness: 1
+  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
+  avoid_ros_namespace_conventions: false
+"""
+"""Quality of service for topics whose newest message late listeners get, as rosbag2 writes it."""
 
 
 def package_version() -> str:
@@ -62,7 +89,7 @@ def to_plain_json(value: Any) -> Any:
 def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:
     """Make the header of a recording that begins now."""
     return {
-        "format": RECORDING_FORMAT,
+        "format": FORMAT,
         "config": config.model_dump(mode="json"),
         "config_sha256": hash_config(config),
         "versions": {
@@ -76,110 +103,26 @@ def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]
     }
 
 
-def seal_text(name: str, data: Mapping[str, Any]) -> dict[str, str]:
-    """Metadata with JSON by name, and its hash."""
-    text = json.dumps(data)
-    return {name: text, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+def make_covariances(
+    pose_diagonal: Sequence[float] | None = None, twist_diagonal: Sequence[float] | None = None
+) -> tuple[Floats, Floats]:
+    """Make the covariances of an odometry, row-major 6 x 6 matrices (36,).
 
+    Args:
+        pose_diagonal: Six variances of the pose, as in diff_drive_controller. None for those of
+            the robot's own driver, and `UNMEASURED_VARIANCE` for what wheels don't measure.
+        twist_diagonal: Six variances of the twist likewise.
+    """
+    pose = np.array(POSE_COVARIANCE)
+    pose[UNMEASURED] = UNMEASURED_VARIANCE
+    if pose_diagonal is not None:
+        pose[DIAGONAL] = pose_diagonal
 
-Axes = tuple[float, float, float]  # x, y, z
-MESSAGE_ENCODING = "cdr"
-SCHEMA_ENCODING = "ros2msg"
-BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame; odometry moves it
-WORLD_FRAME = "world"  # frame of the ground truth
-JOINT_NAMES = tuple(f"{wheel}_wheel_joint" for wheel in WHEELS)  # as in acsar.urdf
-LATCHED_QOS = """- history: 3
-  depth: 0
-  reliability: 1
-  durability: 1
-  deadline: {sec: 9223372036, nsec: 854775807}
-  lifespan: {sec: 9223372036, nsec: 854775807}
-  liveliness: 1
-  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
-  avoid_ros_namespace_conventions: false
-"""
-"""Quality of service for topics whose newest message late listeners get, as rosbag2 writes it."""
-
-EXCHANGE_COLUMNS = (
-    *("number", "stamp", "writes", "pieces", "lateness", "true_x", "true_y", "true_theta"),
-    *("true_linear", "true_angular", "true_contact"),
-)
-"""One row for each control period of the wire: its number in the episode, its end on the link's
-clock [s], how many writes (/wire/sent) and pieces (/wire/received) belong to it, how long after its
-deadline it ended [s], and the ground truth in the frame of the world; NaN where unknown."""
-TICK_COLUMNS = (
-    *("exchange", "stamp", "x", "y", "theta", "linear", "angular"),
-    *("speed_a", "speed_b", "speed_c", "speed_d", "angle_a", "angle_b", "angle_c", "angle_d"),
-    *("asked_linear", "asked_angular", "sent_linear", "sent_angular", "reason"),
-    *("lateness", "feedback_age", "refused"),
-)
-"""One row for each tick of the robot: odometry, wheels, commands, and the safety layer's reason."""
-STEP_COLUMNS = ("step", "stamp", "reward", "terminated", "truncated", "success")
-"""One row for each step of the env; step 0 is the reset, without action and reward."""
-SCAN_COLUMNS = ("exchange", "stamp", "ranges")
-"""One row for each scan: the exchange after which it was read, the time of that [s], and its ranges
-[m] from where the robot was then, exactly as the policy got them."""
-REVOLUTION_COLUMNS = ("exchange", "stamp", "bearings", "distances", "times")
-"""One row for each revolution that scans are made of: the exchange after which it was read, its end
-[s], and of its n measurements all bearings [rad], then all distances [m], 0 where nothing was
-measured, then all times [s]."""
-MOVER_COLUMNS = ("exchange", "stamp", "hit", "intrusions", "movers")
-"""One row for each control period of the wire where something moves around a simulated robot: the
-exchange, its end [s], and what `Crowd` tells of it, of each mover x, y, their rates, and radius."""
-
-
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """One topic of a recording."""
-
-    name: str
-    kind: str
-    """Type, such as "nav_msgs/msg/Odometry"."""
-    columns: tuple[str, ...] = ()
-    latched: bool = False
-    optional: bool = False
-    """Whether only a file that has a message of it knows it."""
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        """What its channel tells besides."""
-        metadata = {"offered_qos_profiles": LATCHED_QOS if self.latched else ""}
-        return metadata | ({"columns": ",".join(self.columns)} if self.columns else {})
-
-
-DOUBLES_TYPE = "std_msgs/msg/Float64MultiArray"
-SINGLES_TYPE = "std_msgs/msg/Float32MultiArray"
-OCTETS_TYPE = "std_msgs/msg/UInt8MultiArray"
-
-ODOM = Topic("/odom", "nav_msgs/msg/Odometry")
-TF = Topic("/tf", "tf2_msgs/msg/TFMessage")
-TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
-JOINT_STATES = Topic("/joint_states", "sensor_msgs/msg/JointState")
-CMD_VEL = Topic("/cmd_vel", "geometry_msgs/msg/Twist")
-CMD_VEL_SENT = Topic("/cmd_vel_sent", "geometry_msgs/msg/Twist")
-SCAN = Topic("/scan", "sensor_msgs/msg/LaserScan")
-DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
-TRUTH = Topic("/truth", "nav_msgs/msg/Odometry")
-TIME_REFERENCE = Topic("/time_reference", "sensor_msgs/msg/TimeReference")
-WIRE_SENT = Topic("/wire/sent", OCTETS_TYPE)
-WIRE_RECEIVED = Topic("/wire/received", OCTETS_TYPE)
-OBSERVATION = Topic("/observation", SINGLES_TYPE)
-ACTION = Topic("/action", SINGLES_TYPE)
-EPISODE = Topic("/acsar/episode", "std_msgs/msg/String", latched=True)
-EXCHANGES = Topic("/acsar/exchanges", DOUBLES_TYPE, EXCHANGE_COLUMNS)
-TICKS = Topic("/acsar/ticks", DOUBLES_TYPE, TICK_COLUMNS)
-STEPS = Topic("/acsar/steps", DOUBLES_TYPE, STEP_COLUMNS)
-SCANS = Topic("/acsar/scans", DOUBLES_TYPE, SCAN_COLUMNS)
-REVOLUTIONS = Topic("/acsar/revolutions", DOUBLES_TYPE, REVOLUTION_COLUMNS)
-MARKERS = Topic("/movers", "visualization_msgs/msg/MarkerArray", optional=True)
-MOVERS = Topic("/acsar/movers", DOUBLES_TYPE, MOVER_COLUMNS, optional=True)
-
-TOPICS = (
-    *(ODOM, TF, TF_STATIC, JOINT_STATES, CMD_VEL, CMD_VEL_SENT, SCAN, DIAGNOSTICS, TRUTH),
-    *(TIME_REFERENCE, WIRE_SENT, WIRE_RECEIVED, OBSERVATION, ACTION),
-    *(EPISODE, EXCHANGES, TICKS, STEPS, SCANS, REVOLUTIONS, MARKERS, MOVERS),
-)
-"""All of them; those under /acsar are what this project reads back, bit for bit."""
+    twist = np.array(TWIST_COVARIANCE)
+    twist[UNMEASURED_RATES] = UNMEASURED_VARIANCE
+    if twist_diagonal is not None:
+        twist[DIAGONAL] = twist_diagonal
+    return pose, twist
 
 
 @cache
@@ -190,218 +133,378 @@ def load_typestore() -> Any:
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
-def make_message(kind: str, **fields: Any) -> Any:
-    """Make a message, such as "std_msgs/msg/Header"."""
-    return load_typestore().types[kind](**fields)
-
-
-def pack_message(kind: str, **fields: Any) -> bytes:
-    """Make a message, and serialise it in CDR."""
-    return bytes(load_typestore().serialize_cdr(make_message(kind, **fields), kind))
-
-
-def type_definition(kind: str) -> bytes:
-    """Return the definition of a type and of all types in it."""
+def define(kind: str) -> bytes:
+    """Return the definition of a type, and of all types in it."""
     text: str = load_typestore().generate_msgdef(kind, ros_version=2)[0]
     return text.encode()
 
 
-def make_time(nanoseconds: int) -> Any:
-    """Return a builtin_interfaces/Time."""
-    seconds, nanosec = divmod(nanoseconds, 1_000_000_000)
-    return make_message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanosec)
-
-
-def make_ros_header(nanoseconds: int, frame: str = "") -> Any:
-    """Return a std_msgs/Header."""
-    return make_message("std_msgs/msg/Header", stamp=make_time(nanoseconds), frame_id=frame)
-
-
-MARKER_HEIGHT = 1.7  # of the cylinder that shows a mover [m]
-MARKER_COLOUR = {"r": 0.56, "g": 0.27, "b": 0.68, "a": 0.8}
-CYLINDER, LINE_LIST = 3, 5  # types of markers
-
-
-def pack_markers(nanoseconds: int, frame: str, movers: NDArray[np.float64]) -> bytes:
-    """Pack visualization_msgs/MarkerArray: a cylinder for each mover, and lines of velocities.
+def make_blank(kind: str, **fixed: Any) -> Any:
+    """Make a message of zeros and empty lists, such as of "std_msgs/msg/Header".
 
     Args:
-        nanoseconds: time of the file.
-        frame: of the places.
-        movers: (movers, 5): x, y [m], their rates [m/s], radius [m].
+        kind: Type of the message.
+        fixed: Fields that have another value.
     """
-    header, top = make_ros_header(nanoseconds, frame), MARKER_HEIGHT
-    markers, ends = [], []
-    for number, (x, y, vx, vy, radius) in enumerate(movers.tolist()):
-        size = 2.0 * radius, 2.0 * radius, top
-        markers.append(_make_marker(header, number, CYLINDER, (x, y, top / 2.0), size, []))
-        ends += [_make_axes("Point", x, y, top), _make_axes("Point", x + vx, y + vy, top)]
-    lines = LINE_LIST, (0.0, 0.0, 0.0), (0.05, 0.0, 0.0), ends
-    markers.append(_make_marker(header, len(movers), *lines))
-    return pack_message(MARKERS.kind, markers=markers)
+    store = load_typestore()
+    fields: dict[str, Any] = {}
+    for name, (node, details) in store.fielddefs[kind][1]:
+        if node.name == "NAME":
+            fields[name] = make_blank(details)
+        elif node.name == "BASE":
+            fields[name] = {"string": "", "bool": False}.get(details[0], 0)
+        else:
+            (element, base), length = details
+            is_plain = element.name == "BASE" and base[0] != "string"
+            fields[name] = np.zeros(length, base[0]) if is_plain else []
+    return store.types[kind](**fields | fixed)
 
 
-def _make_marker(
-    header: Any, number: int, kind: int, place: Axes, size: Axes, points: list[Any]
-) -> Any:
-    turned = make_message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-    octets = np.zeros(0, np.uint8)
-    return make_message(
-        "visualization_msgs/msg/Marker",
-        header=header,
-        ns="movers",
-        id=number,
-        type=kind,
-        action=0,
-        pose=make_message(
-            "geometry_msgs/msg/Pose", position=_make_axes("Point", *place), orientation=turned
-        ),
-        scale=_make_axes("Vector3", *size),
-        color=make_message("std_msgs/msg/ColorRGBA", **MARKER_COLOUR),
-        lifetime=make_message("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
-        frame_locked=False,
-        points=points,
-        colors=[],
-        texture_resource="",
-        texture=make_message(
-            "sensor_msgs/msg/CompressedImage", header=header, format="", data=octets
-        ),
-        uv_coordinates=[],
-        text="",
-        mesh_resource="",
-        mesh_file=make_message("visualization_msgs/msg/MeshFile", filename="", data=octets),
-        mesh_use_embedded_materials=False,
+def get_field(message: Any, path: str) -> Any:
+    """Return a field such as "pose.position.x" or "markers.0.id"."""
+    for name in path.split(".") if path else ():
+        message = message[int(name)] if isinstance(message, list) else getattr(message, name)
+    return message
+
+
+def set_field(message: Any, path: str, value: Any) -> None:
+    """Set a field such as "pose.position.x" or "markers.0.id"."""
+    parent, _, name = path.rpartition(".")
+    setattr(get_field(message, parent), name, value)
+
+
+def find_stamps(message: Any, path: str = "") -> Iterator[str]:
+    """Yield the paths of all times in a message that are named `stamp`."""
+    if isinstance(message, list):
+        fields = {str(number): entry for number, entry in enumerate(message)}
+    else:
+        fields = getattr(message, "__dict__", {})
+    for name, value in fields.items():
+        if name == "stamp":
+            yield f"{path}{name}"
+        else:
+            yield from find_stamps(value, f"{path}{name}.")
+
+
+def _name_times(paths: Iterable[str], times: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    """The numbers of times [ns]."""
+    numbers: dict[str, NDArray[Any]] = {}
+    for path in paths:
+        numbers[f"{path}.sec"] = times // NANOSECONDS
+        numbers[f"{path}.nanosec"] = times % NANOSECONDS
+    return numbers
+
+
+class Template:
+    """Makes messages that differ in their numbers only.
+
+    The place of each number is found by serializing the message once without it and once with it.
+
+    Args:
+        kind: Type of the message.
+        fixed: Strings, lists and numbers that are the same in all messages, by path.
+        numbers: Numbers that differ, by path: a row for each message.
+    """
+
+    def __init__(
+        self, kind: str, fixed: Mapping[str, Any], numbers: Mapping[str, NDArray[Any]]
+    ) -> None:
+        store = load_typestore()
+        blank = make_blank(kind)
+        for path, value in fixed.items():
+            set_field(blank, path, value)
+        self._stamps = list(find_stamps(blank))
+        numbers = {**numbers, **_name_times(self._stamps, np.zeros(1, np.int64))}
+        plain = np.frombuffer(store.serialize_cdr(blank, kind), np.uint8)
+
+        offsets: list[int] = []
+        formats: list[Any] = []
+        for path, values in numbers.items():
+            # No byte of these is zero, as a float of any size and as an integer.
+            is_integer = values.dtype.kind == "i"
+            probe: Any = 0x01010101 if is_integer else 1.0 / 3.0
+            message = copy.deepcopy(blank)
+            shape = values.shape[1:]
+            set_field(
+                message, path, np.full_like(get_field(blank, path), probe) if shape else probe
+            )
+            changed = np.frombuffer(store.serialize_cdr(message, kind), np.uint8)
+            places = np.flatnonzero(plain != changed)
+            offsets.append(int(places[0]))
+            size = len(places) // int(np.prod(shape))
+            formats.append((f"<i{size}" if is_integer else f"<f{size}", shape))
+
+        layout: Any = {"names": list(numbers), "formats": formats, "offsets": offsets}
+        layout["itemsize"] = len(plain)
+        self._plain = plain
+        self._row = np.dtype(layout)
+
+    def fill(self, times: NDArray[np.int64], numbers: Mapping[str, NDArray[Any]]) -> list[bytes]:
+        """Make one message for each time [ns], with a row of the numbers."""
+        octets = np.tile(self._plain, len(times))
+        rows = octets.view(self._row)
+        for path, values in {**numbers, **_name_times(self._stamps, times)}.items():
+            rows[path] = values
+        data = octets.tobytes()
+        size = len(self._plain)
+        return [data[place : place + size] for place in range(0, len(data), size)]
+
+
+class Shown(NamedTuple):
+    """What is shown of a table: one message for each stamp."""
+
+    stamps: Floats
+    """When, on the link's clock [s]."""
+    numbers: Mapping[str, NDArray[Any]]
+    """Numbers of the messages by path, with a row for each stamp."""
+    fixed: Mapping[str, Any] = {}
+    """What is the same in all messages, by path."""
+    key: Hashable = None
+    """What messages of the same form have in common, such as the number of rays."""
+
+
+Start = Sequence[float]
+"""Where an odometry begins in the frame of the world: x [m], y [m], theta [rad]."""
+Show = Callable[[Tables, RobotConfig, Start], Shown]
+
+
+def _name_pose(path: str, poses: NDArray[Any], place: str = "position") -> dict[str, Any]:
+    """The numbers of poses (n, 3): x [m], y [m], theta [rad]."""
+    half = poses[:, 2] / 2.0
+    turned = "orientation" if place == "position" else "rotation"
+    return {
+        f"{path}.{place}.x": poses[:, 0],
+        f"{path}.{place}.y": poses[:, 1],
+        f"{path}.{turned}.z": np.sin(half),
+        f"{path}.{turned}.w": np.cos(half),
+    }
+
+
+def _name_twist(path: str, twists: NDArray[Any]) -> dict[str, Any]:
+    """The numbers of twists (n, 2): linear [m/s], angular [rad/s]."""
+    return {f"{path}linear.x": twists[:, 0], f"{path}angular.z": twists[:, 1]}
+
+
+def _show_odometry(name: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    """Show the poses of the ticks by odometry, or the true poses of the exchanges."""
+    table = tables[name][~np.isnan(tables[name]["pose"][:, 0])]
+    pose, twist = make_covariances()
+
+    return Shown(
+        stamps=table["stamp"],
+        numbers={
+            **_name_pose("pose.pose", table["pose"]),
+            **_name_twist("twist.twist.", table["twist"]),
+        },
+        fixed={
+            "header.frame_id": config.odom_frame if name == "ticks" else WORLD_FRAME,
+            "child_frame_id": BASE_FOOTPRINT,
+            "pose.covariance": pose,
+            "twist.covariance": twist,
+        },
     )
 
 
-def _make_axes(kind: str, x: float, y: float, z: float) -> Any:
-    return make_message(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
+def _make_transform(parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0)) -> Any:
+    transform = make_blank("geometry_msgs/msg/TransformStamped", child_frame_id=child)
+    transform.header.frame_id = parent
+    for axis, value in zip("xyz", place, strict=True):
+        set_field(transform, f"transform.translation.{axis}", float(value))
+    return transform
 
 
-LITTLE_ENDIAN = b"\x00\x01\x00\x00"  # begins a CDR message; alignment counts from behind it
-ARRAY_HEADER = struct.Struct("<4sIII")
-Field = tuple[str, str, Any]  # name, numpy's type, value that is the same in all messages or None
+def _show_frame(tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    return Shown(
+        stamps=tables["ticks"]["stamp"],
+        numbers=_name_pose("transforms.0.transform", tables["ticks"]["pose"], "translation"),
+        fixed={"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]},
+    )
 
 
-class Packer:
-    """Packs messages of one kind, whose fields have fixed sizes."""
-
-    def __init__(self, *fields: Field) -> None:
-        kinds = [np.dtype(kind) for _, kind, _ in fields]
-        end, offsets = len(LITTLE_ENDIAN), []
-        for kind in kinds:
-            if kind.kind != "S":
-                end += -(end - len(LITTLE_ENDIAN)) % kind.base.itemsize
-            offsets.append(end)
-            end += kind.itemsize
-        names = [name for name, _, _ in fields]
-        row = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": end})
-        self._blank = np.frombuffer(bytearray(LITTLE_ENDIAN.ljust(end, b"\0")), row)
-        for name, _, value in fields:
-            if value is not None:
-                self._blank[name] = value
-
-    def pack(self, count: int, fields: Mapping[str, Any]) -> list[bytes]:
-        """Make so many messages of fields by name, (count,) or (count, length) each."""
-        rows = np.repeat(self._blank, count)
-        for name, values in fields.items():
-            rows[name] = values
-        data, size = rows.tobytes(), rows.itemsize
-        return [data[first : first + size] for first in range(0, count * size, size)]
+def _show_mounts(tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    """Base frame at the height of the axles, and LiDAR."""
+    lidar = (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset)
+    transforms = [
+        _make_transform(BASE_FOOTPRINT, config.base_frame, (0.0, 0.0, config.wheel_radius)),
+        _make_transform(config.base_frame, config.lidar_frame, lidar),
+    ]
+    for transform in transforms:
+        transform.transform.rotation.w = 1.0
+    return Shown(tables["resets"]["stamp"], {}, {"transforms": transforms})
 
 
-def _numbers(names: str) -> list[Field]:
-    return [(name, "<f8", None) for name in names.split()]
+def _show_joints(tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    ticks = tables["ticks"]
+    zeros = np.zeros(len(WHEELS))
+    return Shown(
+        stamps=ticks["stamp"],
+        numbers={"position": ticks["angles"], "velocity": ticks["speeds"]},
+        fixed={"name": JOINT_NAMES, "position": zeros, "velocity": zeros},
+    )
 
 
-def _text(name: str, text: str) -> list[Field]:
-    data = text.encode() + b"\0"
-    return [(f"{name}.length", "<u4", len(data)), (name, f"S{len(data)}", data)]
+def _show_twist(column: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    ticks = tables["ticks"][~np.isnan(tables["ticks"][column][:, 0])]
+    return Shown(ticks["stamp"], _name_twist("", ticks[column]))
 
 
-def _sequence(name: str, kind: str, count: int) -> list[Field]:
-    """A list of numbers, which begins with its length."""
-    numbers: list[Field] = [(name, f"({count},){kind}", None)] if count else []
-    return [(f"{name}.length", "<u4", count), *numbers]
+def _show_scans(tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    """All rays are as from the robot's pose at the stamp: no time passes between them."""
+    lidar = config.lidar
+    ranges = tables["ranges"]
+    rays = ranges.shape[1]
+    spec = RaySpec(rays, lidar.max_range, lidar.field_of_view)
+    first = -lidar.field_of_view / 2.0
+
+    return Shown(
+        stamps=tables["scans"]["stamp"],
+        numbers={"ranges": np.where(ranges >= lidar.max_range, np.inf, ranges)},
+        fixed={
+            "header.frame_id": config.lidar_frame,
+            "angle_min": first,
+            "angle_max": first + (rays - 1) * spec.step,
+            "angle_increment": spec.step,
+            "scan_time": 1.0 / lidar.rate,
+            "range_min": lidar.min_range,
+            "range_max": lidar.max_range,
+            "ranges": np.zeros(rays, np.float32),
+        },
+        key=rays,
+    )
 
 
-def _header(frame: str) -> list[Field]:
-    return [("sec", "<i4", None), ("nanosec", "<u4", None), *_text("frame", frame)]
+def _count_skipped(config: RobotConfig) -> int:
+    """How many ticks there are to each message at SHOWN_RATE."""
+    return max(1, round(config.control_rate / SHOWN_RATE))
 
 
-POSE = _numbers("px py pz qx qy qz qw")
-TWIST = _numbers("vx vy vz wx wy wz")
+def _show_worst(column: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    """Show the largest value of a tick's column in each tenth of a second."""
+    ticks = tables["ticks"]
+    begins = np.arange(0, len(ticks), _count_skipped(config))
+    worst = np.fmax.reduceat(ticks[column].astype(float), begins)
+    is_known = ~np.isnan(worst)
+    return Shown(ticks["stamp"][begins][is_known], {"data": worst[is_known]})
 
 
-def odometry_packer(frame: str, child: str) -> Packer:
-    """nav_msgs/Odometry, with fields px py pz qx qy qz qw, vx .. wz, pose_cov, twist_cov."""
-    head = *_header(frame), *_text("child", child)
-    matrices = ("pose_cov", "(36,)<f8", None), ("twist_cov", "(36,)<f8", None)
-    return Packer(*head, *POSE, matrices[0], *TWIST, matrices[1])
+def _show_numbers(name: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    """Show the numbers that a policy got or gave in each step, but for a reset's action."""
+    table = tables[name]
+    is_shown = ~np.isnan(table).all(axis=1)  # an empty observation isn't
+    size = table.shape[1]
+    stamps = tables["steps"]["stamp"][is_shown]
+    return Shown(stamps, {"data": table[is_shown]}, {"data": np.zeros(size, np.float32)}, size)
 
 
-def transform_packer(frame: str, child: str) -> Packer:
-    """tf2_msgs/TFMessage with one transform, with fields px py pz qx qy qz qw."""
-    return Packer(("count", "<u4", 1), *_header(frame), *_text("child", child), *POSE)
+def _show_movers(tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    """A cylinder for each mover."""
+    x, y, theta = start
+    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    rows = tables["movers"]["exchange"] % _count_skipped(config) == 0
+    states = tables["mover_states"][rows]
+    places = (states[:, :, :2] - (x, y)) @ turn
+
+    markers: list[Any] = []
+    numbers: dict[str, NDArray[Any]] = {}
+    for number in range(states.shape[1]):
+        marker = make_blank("visualization_msgs/msg/Marker", ns="movers", id=number, type=CYLINDER)
+        marker.header.frame_id = config.odom_frame
+        marker.color = make_blank("std_msgs/msg/ColorRGBA", **MARKER_COLOUR)
+        marker.pose.orientation.w = 1.0
+        marker.pose.position.z = MARKER_HEIGHT / 2.0
+        marker.scale.z = MARKER_HEIGHT
+        markers.append(marker)
+        for axis, name in enumerate("xy"):
+            numbers[f"markers.{number}.pose.position.{name}"] = places[:, number, axis]
+            numbers[f"markers.{number}.scale.{name}"] = 2.0 * states[:, number, 4]
+
+    stamps = tables["movers"]["stamp"][rows]
+    return Shown(stamps, numbers, {"markers": markers}, key=len(markers))
 
 
-def joint_packer() -> Packer:
-    """sensor_msgs/JointState of the wheels, with fields position and velocity."""
-    names = [field for number, name in enumerate(JOINT_NAMES) for field in _text(f"{number}", name)]
-    lists = ("position", 4), ("velocity", 4), ("effort", 0)
-    numbers = [field for name, count in lists for field in _sequence(name, "<f8", count)]
-    return Packer(*_header(""), ("names", "<u4", len(JOINT_NAMES)), *names, *numbers)
+def _show_clocks(tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    clocks = tables["clocks"]
+    numbers = _name_times(["time_ref"], clocks["wall"])
+    return Shown(clocks["stamp"], numbers, {"source": "wall clock"})
 
 
-@lru_cache(maxsize=32)
-def array_packer(kind: str, columns: int) -> Packer:
-    """std_msgs/Float64MultiArray ("<f8") or Float32MultiArray ("<f4"), with the field data."""
-    head = ("dimensions", "<u4", 0), ("data_offset", "<u4", 0)
-    return Packer(*head, *_sequence("data", kind, columns))
+def _show_faults(tables: Tables, config: RobotConfig, start: Start) -> Shown:
+    """What stopped the robot; several errors in one block are one line."""
+    text = tables["faults_bytes"].tobytes().decode()
+    fixed = {"level": LOG_ERROR, "name": NODE_NAME, "msg": text}
+    return Shown(tables["faults"]["stamp"][:1], {}, fixed, key=text)
 
 
-def scan_packer(config: RobotConfig, step: float, rays: int) -> Packer:
-    """sensor_msgs/LaserScan, with the fields ranges, (rays,), and scan_time [s].
+class Topic(NamedTuple):
+    """One topic of a recording."""
 
-    All rays are as from one pose, that of the robot at the stamp: no time passes between them.
-    """
-    lidar, first = config.lidar, -config.lidar.field_of_view / 2.0
-    values = {
-        "angle_min": first,
-        "angle_max": first + (rays - 1) * step,
-        "angle_increment": step,
-        "time_increment": 0.0,
-        "scan_time": None,
-        "range_min": lidar.min_range,
-        "range_max": lidar.max_range,
-    }
-    numbers = [(name, "<f4", value) for name, value in values.items()]
-    lists = *_sequence("ranges", "<f4", rays), *_sequence("intensities", "<f4", 0)
-    return Packer(*_header(config.lidar_frame), *numbers, *lists)
+    name: str
+    kind: str
+    """Type, such as "nav_msgs/msg/Odometry"."""
+    table: str
+    """The table of which its messages are made."""
+    show: Show
+    is_latched: bool = False
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Metadata of its channel."""
+        return {"offered_qos_profiles": LATCHED_QOS if self.is_latched else ""}
 
 
-def pack_octets(data: bytes) -> bytes:
-    """Pack std_msgs/UInt8MultiArray."""
-    return ARRAY_HEADER.pack(LITTLE_ENDIAN, 0, 0, len(data)) + data
+FLOAT = "std_msgs/msg/Float64"
+FLOATS = "std_msgs/msg/Float32MultiArray"
+TWIST = "geometry_msgs/msg/Twist"
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+TOPICS = (
+    Topic("/odom", ODOMETRY, "ticks", partial(_show_odometry, "ticks")),
+    Topic("/tf", TRANSFORMS, "ticks", _show_frame),
+    Topic("/tf_static", TRANSFORMS, "resets", _show_mounts, is_latched=True),
+    Topic("/joint_states", "sensor_msgs/msg/JointState", "ticks", _show_joints),
+    Topic("/cmd_vel", TWIST, "ticks", partial(_show_twist, "asked")),
+    Topic("/cmd_vel_sent", TWIST, "ticks", partial(_show_twist, "sent")),
+    Topic("/safety_reason", FLOAT, "ticks", partial(_show_worst, "reason")),
+    Topic("/lateness", FLOAT, "ticks", partial(_show_worst, "lateness")),
+    Topic("/feedback_age", FLOAT, "ticks", partial(_show_worst, "feedback_age")),
+    Topic("/scan", "sensor_msgs/msg/LaserScan", "ranges", _show_scans),
+    Topic("/truth", ODOMETRY, "exchanges", partial(_show_odometry, "exchanges")),
+    Topic("/movers", "visualization_msgs/msg/MarkerArray", "mover_states", _show_movers),
+    Topic("/observation", FLOATS, "observations", partial(_show_numbers, "observations")),
+    Topic("/action", FLOATS, "actions", partial(_show_numbers, "actions")),
+    Topic("/time_reference", "sensor_msgs/msg/TimeReference", "clocks", _show_clocks),
+    Topic("/rosout", "rcl_interfaces/msg/Log", "faults", _show_faults),
+)
 
 
-def pack_text(data: str) -> bytes:
-    """Pack std_msgs/String."""
-    encoded = data.encode() + b"\0"
-    return LITTLE_ENDIAN + struct.pack("<I", len(encoded)) + encoded
+class Publisher:
+    """Makes the messages of a robot's tables."""
 
+    def __init__(self, config: RobotConfig) -> None:
+        self._config = config
+        self._templates: dict[Hashable, Template] = {}
 
-def stamp_fields(nanoseconds: NDArray[np.int64]) -> dict[str, NDArray[np.int64]]:
-    """The fields `sec` and `nanosec` of headers."""
-    return {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
+    def make_messages(
+        self, tables: Tables, start: Sequence[float], offset: int
+    ) -> Iterator[tuple[Topic, int, bytes]]:
+        """Yield topic, time [ns] and content of each message.
 
-
-def pose_fields(poses: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """The fields of poses (n, 3): x [m], y [m], theta [rad]."""
-    half = poses[:, 2] / 2.0
-    return {"px": poses[:, 0], "py": poses[:, 1], "qz": np.sin(half), "qw": np.cos(half)}
-
-
-def twist_fields(twists: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """The fields of twists (n, 2): linear [m/s], angular [rad/s]."""
-    return {"vx": twists[:, 0], "wz": twists[:, 1]}
+        Args:
+            tables: Some tables of an episode; `resets` has the stamp of its reset.
+            start: Where its odometry begins in the frame of the world.
+            offset: What to add to times of the link's clock for those of the file [ns].
+        """
+        for topic in TOPICS:
+            if topic.table not in tables:
+                continue
+            shown = topic.show(tables, self._config, start)
+            if not len(shown.stamps):
+                continue
+            times = np.rint(shown.stamps * 1e9).astype(np.int64) + offset
+            times = np.maximum(times, 0)
+            key = (topic.name, shown.key)
+            if key not in self._templates:
+                self._templates[key] = Template(topic.kind, shown.fixed, shown.numbers)
+            messages = self._templates[key].fill(times, shown.numbers)
+            for stamp, data in zip(times.tolist(), messages, strict=True):
+                yield topic, stamp, data

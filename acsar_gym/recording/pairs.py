@@ -1,10 +1,8 @@
-"""Which recordings are of one robot, and which of their episodes have the same seed and goal."""
+"""Checks whether recordings are of the same robot."""
 
 from __future__ import annotations
 
-import math
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.sections import WIRE_LETTERS
@@ -13,23 +11,6 @@ from acsar_gym.recording.types import Recording
 
 ROBOT_LENGTHS = ("wheel_radius", "wheel_separation", "wheelbase")
 LENGTH_TOLERANCE = 0.1  # lengths of one robot differ by less; a calibration changes them a little
-SAME_GOAL_DISTANCE = 0.01  # goals that are nearer to each other are one [m]
-SeedKey = tuple[int | None, int]  # a seed, and how many episodes before have the same one
-
-
-def number_seeds(seeds: Iterable[int | None]) -> list[SeedKey]:
-    """Tell episodes with the same seed apart."""
-    seen: Counter[int | None] = Counter()
-    keys = []
-    for seed in seeds:
-        keys.append((seed, seen[seed]))
-        seen[seed] += 1
-    return keys
-
-
-def have_same_goal(goal: Sequence[float] | None, other: Sequence[float] | None) -> bool:
-    """Whether two goals (x, y) in odometry frames [m] are one; true where one isn't told."""
-    return not (goal and other) or math.dist(goal, other) < SAME_GOAL_DISTANCE
 
 
 def find_difference(
@@ -37,13 +18,16 @@ def find_difference(
 ) -> tuple[str, str, str] | None:
     """Return the first field in which two robots differ, and both values; None if they don't."""
     for field in ROBOT_LENGTHS:
-        first, second = getattr(one, field), getattr(other, field)
+        first = getattr(one, field)
+        second = getattr(other, field)
         if abs(first - second) > LENGTH_TOLERANCE * max(first, second):
             return field, f"{first:g} m", f"{second:g} m"
     if not wire:
         return None
+
     for field in ("name", "baud_rate"):
-        first, second = getattr(one, field), getattr(other, field)
+        first = getattr(one, field)
+        second = getattr(other, field)
         if first != second:
             return field, repr(first), repr(second)
     for letter in WIRE_LETTERS:

@@ -1,363 +1,422 @@
-"""Reads recordings back: whole where they fit into memory, and else what is asked for."""
+"""Reads recordings back: what they hold at once, and their tables when they are needed."""
 
 from __future__ import annotations
 
 import hashlib
-import os
 import warnings
-from bisect import bisect_right
-from collections import deque
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, overload
+from typing import IO, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable
+from acsar_gym.lidar.scan import MAX_STAMP
 from acsar_gym.reading import open_file
-from acsar_gym.recording.episodes import (
-    GROUP_OF_FIELD,
-    LIST_TOPICS,
-    TABLE_TOPICS,
-    EpisodeCollector,
-    EpisodeParts,
-    FieldGroup,
-    check_stamps,
-    describe_parts,
-    join_truth,
-    make_episode,
-    make_movers,
-    make_scans,
-    make_steps,
-    make_ticks,
-    make_truth,
-    make_wire,
-    parse_content,
-    parse_revolution,
-    to_integers,
+from acsar_gym.recording.blocks import (
+    FORMAT,
+    MAGIC,
+    Block,
+    Head,
+    Header,
+    has_end,
+    iterate_blocks,
+    parse_section,
+    read_block,
+    unpack_table,
 )
-from acsar_gym.recording.messages import (
-    ACTION,
-    EXCHANGES,
-    MOVERS,
-    REVOLUTIONS,
-    SCANS,
-    TICKS,
-    WIRE_RECEIVED,
-    WIRE_SENT,
-    Topic,
+from acsar_gym.recording.events import DOUBLES, TABLES
+from acsar_gym.recording.types import (
+    Episode,
+    Floats,
+    Movers,
+    Pieces,
+    Recording,
+    Revolutions,
+    Scans,
+    WireLog,
 )
-from acsar_gym.recording.stream import MESSAGE, MESSAGE_HEAD, FileCut, RecordStream
-from acsar_gym.recording.types import Episode, Floats, Recording, Revolutions
+from acsar_gym.worlds.crowd import SEEN_NUMBERS
 
-KEPT_BYTES = 60_000_000  # less content than this is kept in memory; at 100 Hz that of 20 minutes
-CACHED_BYTES = 200_000_000  # most bytes of a larger recording that are kept for another look
-BLOCK_BYTES = 4_000_000  # of a large recording, about so many are read at once, where all are read
-CARRIED_ROWS = 64  # exchanges of the block before that a tick may belong to
+MAX_NUMBER = MAX_STAMP  # largest range, place or time, either sign
+LIDAR_TABLES = ("revolutions", "measurements")
+EMPTY_SHAPES = {
+    "measurements": (3,),
+    "mover_states": (0, SEEN_NUMBERS),
+    "actions": (2,),
+    "observations": (0,),
+    "ranges": (0,),
+}
+COMPACT_PIECES = 100_000  # from this number on, pieces of bytes stay in one buffer
+PART_BLOCKS = 20  # blocks of an episode that are exported at once
 
 
 def read(path: str | Path, *, revolutions: bool = False) -> Recording:
     """Read a recording.
 
-    A long one isn't read into memory: its episodes are read from the file where they are asked for,
-    some fields at a time, and forgotten where others take their place.
-
-    Warns (RecordingWarning) where damaged parts were left out.
+    The tables of an episode are read from the file when they are needed.
 
     Args:
-        path: the file, of any length.
-        revolutions: whether what a LiDAR measured is wanted, too.
+        path: The file, of any length.
+        revolutions: Whether the measurements of a LiDAR are needed, too.
 
     Returns:
-        All of it. Where the end of the file is missing, what there is, and `cut` is true; where
-        something is damaged, what isn't, and `damages` tell it.
+        The recording. If the end of the file is missing, it holds what there is, and `cut` is true.
+        If some bytes are damaged, it holds the others, and `damages` describes the places.
 
     Raises:
-        ConfigError: the file can't be read, isn't a recording, or nothing of it is whole. Episodes
-            of a long recording may raise it when they are read.
+        ConfigError: The file can't be read, isn't a recording, or all of it is damaged. An episode
+            may raise it when its tables are read.
+
+    Warns:
+        RecordingWarning: The file is damaged.
     """
-    return _read_counted(Path(path), revolutions=revolutions)[0]
+    recording, _ = _read(Path(path), revolutions=revolutions)
+    if recording.damages:
+        text = f"{path}: is damaged: {recording.describe_damage()}"
+        warnings.warn(escape_unprintable(text), RecordingWarning, stacklevel=2)
+    return recording
 
 
-def _read_counted(
-    path: Path, *, revolutions: bool
-) -> tuple[Recording, list[EpisodeParts], dict[str, int]]:
-    """Read a recording; also how much there is of each episode, and of each topic."""
-    wanted = (*TABLE_TOPICS, *LIST_TOPICS, *((REVOLUTIONS,) if revolutions else ()))
+def _read(path: Path, *, revolutions: bool) -> tuple[Recording, list[StoredTables]]:
+    """Read a recording; also return the tables of its episodes."""
+    damages: list[str] = []
+    header: dict[str, Any] | None = None
+    dropped: int | None = None
+    stored: dict[int, StoredTables] = {}
     with open_file(path) as file:
-        collector = EpisodeCollector(wanted)
-        stream = RecordStream(file, collector.topics)
-        cut: FileCut | None = None
-        try:
-            for opcode, content in stream:
-                collector.take(opcode, content, stream.at, stream.index)
-                if collector.kept > KEPT_BYTES:
-                    collector.forget()
-        except FileCut as error:
-            cut = error
-        damages = (*collector.damages, *stream.damages)
-        if cut is not None and cut.damaged:
-            damages += (f"all from byte {stream.at:,} on",)
-        parts = [one for one in collector.parts if one.start == one.start]
-        if collector.header is None or not parts:
-            raise ConfigError(_explain_nothing(collector, damages, is_cut=cut is not None))
-        config = RobotConfig.model_validate(collector.header["config"])
-        if collector.is_whole:
-            episodes = tuple(map(make_episode, parts))
-        else:
-            collector.forget()
-            source = EpisodeSource(path, file, collector.topics)
-            episodes = tuple(source.make_lazy(one) for one in parts)
+        for block in iterate_blocks(file, damages):
+            head = block.head
+            header = header or head.header
+            dropped = head.dropped
+            if head.episode >= 0:
+                if head.episode not in stored:
+                    stored[head.episode] = StoredTables(path, head, with_lidar=revolutions)
+                stored[head.episode].add(block)
+
+        if header is None or not stored:
+            raise ConfigError(_explain_nothing(file, header, damages, is_whole=dropped is not None))
+        if header.get("format") != FORMAT:
+            shown = str(header.get("format"))[:20]
+            raise ConfigError(
+                f"is a recording of format {shown}: this version reads format {FORMAT}"
+            )
+        parse_section(Header, header)
+        config = RobotConfig.model_validate(header["config"])
+        is_cut = dropped is None or not has_end(file)
         file.seek(0)
         digest = hashlib.file_digest(file, "sha256").hexdigest()[:16]
-    missing = sum(one.missing for one in parts)
-    dropped = (collector.end or {}).get("dropped", 0)
-    dropped = dropped if isinstance(dropped, int) and dropped > 0 else 0
+
+    missing = sum(tables.missing for tables in stored.values())
+    lost = 0 if damages else missing
     recording = Recording(
-        collector.header,
-        digest,
-        config,
-        episodes,
-        cut=cut is not None or collector.end is None,
-        dropped=dropped or (0 if damages else missing),
-        damages=damages,
-        missing=max(missing - dropped, 0) if damages else 0,
+        header=header,
+        sha256=digest,
+        config=config,
+        episodes=tuple(StoredEpisode.of(tables) for tables in stored.values()),
+        cut=is_cut,
+        dropped=dropped or lost,
+        damages=tuple(damages),
+        missing=max(missing - lost - (dropped or 0), 0),
     )
+    return recording, list(stored.values())
+
+
+def _explain_nothing(
+    file: IO[bytes], header: Mapping[str, Any] | None, damages: list[str], *, is_whole: bool
+) -> str:
+    """Describe why a file has no episode."""
+    file.seek(0)
+    if file.read(len(MAGIC)) != MAGIC:
+        return "isn't a recording: not an MCAP file"
     if damages:
-        text = f"{path}: is damaged: {recording.describe_damage()}"
-        warnings.warn(escape_unprintable(text), RecordingWarning, stacklevel=3)
-    counts = {name: stream.counts[number] for number, name in collector.names.items()}
-    return recording, parts, {name: count for name, count in counts.items() if count}
+        return f"is damaged: {damages[0]}"
+    if header is None:
+        return "isn't a recording of acsar_gym (format 1 is read as a ROS 2 bag, with --robot)"
+    return "holds no episode" if is_whole else "is cut before its first episode"
 
 
-def _explain_nothing(collector: EpisodeCollector, damages: Sequence[str], *, is_cut: bool) -> str:
-    if collector.header is not None:
-        if damages:
-            return f"is damaged: holds no episode but {damages[0]}"
-        return "is cut before its first episode" if is_cut else "holds no episode"
-    if collector.problem:
-        return collector.problem
-    return f"is damaged: {damages[0]}" if damages else "isn't a recording of acsar_gym"
+class StoredTables:
+    """The tables of an episode, each of which is read from the file when it is needed.
 
+    Args:
+        path: The file.
+        head: How the episode began.
+        with_lidar: Whether the measurements of a LiDAR are there.
+        places: Where its blocks are in the file.
 
-class RecordedEpisode(Episode):
-    """An episode whose fields are read from the file when they are asked for."""
+    Attributes:
+        head: How the episode began.
+        rows: Number of rows of each table.
+        missing: Number of control periods that aren't there.
+        outcome: Whether its newest step terminated and truncated it, and succeeded.
+    """
 
-    _source: EpisodeSource
-    _parts: EpisodeParts
-
-    def __getattr__(self, name: str) -> Any:
-        """Read a field that isn't in memory."""
-        group = GROUP_OF_FIELD.get(name)
-        if group is None or "_source" not in self.__dict__:
-            raise AttributeError(name)
-        self._source.load(self, group)
-        return self.__dict__[name]
-
-    def __repr__(self) -> str:
-        return f"<episode from {self.start:g} s on, read when it is asked for>"
-
-    def iterate_blocks(self) -> Iterator[Episode]:
-        """Yield ticks, truth, movers and wire in blocks."""
-        return self._source.iterate_blocks(self._parts)
-
-
-class EpisodeSource:
-    """A recording's file, from which episodes are read piece by piece."""
-
-    def __init__(self, path: Path, file: IO[bytes], topics: dict[int, Topic]) -> None:
+    def __init__(
+        self, path: Path, head: Head, *, with_lidar: bool, places: list[int] | None = None
+    ) -> None:
+        self.head = head
+        self.rows: Counter[str] = Counter()
+        self.missing = 0
+        self.outcome = (False, False, False)
         self._path = path
-        self._identity = _identify_file(file)
-        self._topics = dict(topics)
-        self._loaded: deque[tuple[RecordedEpisode, list[str], int]] = deque()
+        self._with_lidar = with_lidar
+        self._places = places or []
+        self._next_period = 0
+        self._loaded: dict[str, NDArray[Any]] = {}
 
-    def make_lazy(self, parts: EpisodeParts) -> RecordedEpisode:
-        """Make an episode that is read when it is asked for."""
-        episode = object.__new__(RecordedEpisode)
-        episode.__dict__.update(describe_parts(parts), _source=self, _parts=parts)
+    def add(self, block: Block) -> None:
+        """Note where a block is, and how much it holds."""
+        self._places.append(block.place)
+        self.rows.update({name: shape[0] for name, shape in block.head.tables.items()})
+        self.outcome = block.head.outcome or self.outcome
+        if block.head.periods is not None:
+            _, last = block.head.periods
+            lacking = last + 1 - self._next_period - block.head.tables.get("exchanges", [0])[0]
+            self.missing += max(lacking, 0)
+            self._next_period = last + 1
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._loaded:
+            self._loaded[name] = self._load(name)
+        return self._loaded[name]
+
+    def _load(self, name: str) -> NDArray[Any]:
+        """Read a table from all blocks; one without a row has the shape of an empty table."""
+        empty = np.zeros((0, *EMPTY_SHAPES.get(name, ())), TABLES[name])
+        if name in LIDAR_TABLES and not self._with_lidar:
+            return empty
+
+        parts = []
+        with open_file(self._path) as file:  # errors name the file
+            for place in self._places:
+                block = read_block(file, place)
+                if block is None:
+                    raise ConfigError("has changed since it was read: read it again")
+                if name in block.head.tables:
+                    parts.append(unpack_table(block, name))
+            shapes = {array.shape[1:] for array in parts} or {empty.shape[1:]}
+            if len(shapes) > 1 or len(shapes.pop()) != empty.ndim - 1:
+                raise ConfigError(f"is damaged: {name} of several lengths")
+            table = np.concatenate(parts or [empty])
+            check_table(name, table)
+        return table
+
+    def list_pieces(self, name: str) -> Sequence[bytes]:
+        """Return the pieces of bytes of two tables."""
+        sizes = self[name]["size"]
+        data = self[f"{name}_bytes"].tobytes()
+        if sizes.sum() != len(data):
+            raise ConfigError(f"{self._path}: is damaged: some bytes of {name} are missing")
+        pieces = Pieces(data, sizes)
+        return tuple(pieces) if len(pieces) < COMPACT_PIECES else pieces
+
+    def split(self) -> Iterator[StoredTables]:
+        """Yield the tables in parts, to read a long episode piece by piece."""
+        for first in range(0, len(self._places), PART_BLOCKS):
+            places = self._places[first : first + PART_BLOCKS]
+            yield StoredTables(self._path, self.head, with_lidar=self._with_lidar, places=places)
+
+
+def check_table(name: str, table: NDArray[Any]) -> None:
+    """Raise ConfigError if a table holds numbers that no robot has."""
+    problem = ""
+
+    if table.dtype.names:
+        stamps = table["stamp"]
+        if not (np.abs(stamps) <= MAX_STAMP).all():
+            problem = "a time that is out of range"
+        elif name in ("ticks", "exchanges") and (np.diff(stamps) < 0.0).any():
+            problem = "its times go backwards"
+    elif table.dtype == DOUBLES and not (np.abs(table) <= MAX_NUMBER).all():
+        problem = f"{name} that are out of range"
+    elif name == "mover_states" and not (table[..., -1:] > 0.0).all():
+        problem = "a mover without a radius"
+    elif name == "measurements" and not (table[..., 1:2] >= 0.0).all():
+        problem = "a negative distance of the LiDAR"
+    if problem:
+        raise ConfigError(f"is damaged: {problem}")
+
+
+def join_truth(tables: StoredTables) -> Floats:
+    """Return the true poses (n, 3) at the ends of the exchanges of ticks; NaN if unknown."""
+    numbers = tables["exchanges"]["number"]
+    wanted = tables["ticks"]["exchange"]
+    truth = np.full((len(wanted), 3), np.nan)
+    if len(numbers):
+        places = np.minimum(np.searchsorted(numbers, wanted), len(numbers) - 1)
+        is_recorded = numbers[places] == wanted
+        truth[is_recorded] = tables["exchanges"]["pose"][places[is_recorded]]
+    return truth
+
+
+def _make_wire(stored: StoredTables) -> WireLog:
+    return WireLog(
+        sent_stamps=stored["sent"]["stamp"],
+        sent=stored.list_pieces("sent"),
+        got_stamps=stored["received"]["stamp"],
+        got=stored.list_pieces("received"),
+        stamped=bool(stored.head.info.get("stamped")),
+    )
+
+
+def _make_scans(stored: StoredTables) -> Scans:
+    scans = stored["scans"]
+    return Scans(scans["stamp"], stored["ranges"], scans["exchange"])
+
+
+def _make_movers(stored: StoredTables) -> Movers:
+    movers = stored["movers"]
+    return Movers(
+        exchanges=movers["exchange"],
+        stamps=movers["stamp"],
+        hits=movers["hit"],
+        intrusions=movers["intrusions"],
+        states=stored["mover_states"],
+    )
+
+
+def _make_revolutions(stored: StoredTables) -> Revolutions:
+    revolutions = stored["revolutions"]
+    ends = np.cumsum(revolutions["size"])
+    measured = stored["measurements"]
+    if (ends[-1] if len(ends) else 0) != len(measured):
+        raise ConfigError("is damaged: measurements of the LiDAR are missing")
+    parts = np.split(measured, ends[:-1]) if len(ends) else []
+    turns = [np.ascontiguousarray(turn.T) for turn in parts]
+    return Revolutions(revolutions["stamp"], turns, revolutions["exchange"])
+
+
+COLUMNS = {
+    "stamps": ("ticks", "stamp"),
+    "poses": ("ticks", "pose"),
+    "twists": ("ticks", "twist"),
+    "speeds": ("ticks", "speeds"),
+    "asked": ("ticks", "asked"),
+    "sent": ("ticks", "sent"),
+    "reasons": ("ticks", "reason"),
+    "lateness": ("ticks", "lateness"),
+    "step_stamps": ("steps", "stamp"),
+}
+"""Table and column of an episode's fields."""
+MAKERS: Mapping[str, Callable[[StoredTables], Any]] = {
+    "wire": _make_wire,
+    "truth": join_truth,
+    "observations": lambda tables: tables["observations"],
+    "actions": lambda tables: tables["actions"][tables["steps"]["step"] > 0],
+    "rewards": lambda tables: tables["steps"]["reward"][tables["steps"]["step"] > 0],
+    "scans": _make_scans,
+    "exchanges": lambda tables: tables["exchanges"],
+    "revolutions": _make_revolutions,
+    "movers": _make_movers,
+}
+"""How other fields are made."""
+
+
+class StoredEpisode(Episode):
+    """An episode whose fields are read from the file when they are needed.
+
+    Attributes:
+        tables: Its tables, whose names and columns are those of `recording.events.TABLES`.
+    """
+
+    tables: StoredTables
+
+    @classmethod
+    def of(cls, tables: StoredTables) -> StoredEpisode:
+        """Make the episode of some tables."""
+        head = tables.head
+        terminated, truncated, success = tables.outcome
+        episode = object.__new__(cls)
+        episode.__dict__.update(
+            start=head.start,
+            offset=head.offset,
+            info=head.info,
+            terminated=terminated,
+            truncated=truncated,
+            success=success if tables.rows["steps"] > 1 else None,
+            tables=tables,
+        )
         return episode
 
-    def load(self, episode: RecordedEpisode, group: FieldGroup) -> None:
-        """Read a group of fields; others are forgotten where there are too many."""
-        parts = episode._parts  # noqa: SLF001 - made here
-        size = sum(parts.sizes[t.name] + 24 * parts.counts[t.name] for t in group.topics)
-        while self._loaded and size + sum(one[2] for one in self._loaded) > CACHED_BYTES:
-            other, names, _ = self._loaded.popleft()
-            for name in names:
-                other.__dict__.pop(name, None)
-        if REVOLUTIONS in group.topics and size > BLOCK_BYTES:
-            fields: dict[str, Any] = {"revolutions": self._list_revolutions(parts)}
-            size = 0
-        elif not size:
-            fields = group.make(parts.make_blank())
+    def __getattr__(self, name: str) -> Any:
+        """Make a field that is used for the first time."""
+        if "tables" not in self.__dict__ or name not in {*COLUMNS, *MAKERS}:
+            raise AttributeError(name)
+        if name in COLUMNS:
+            table, column = COLUMNS[name]
+            value = self.tables[table][column]
         else:
-            fields = group.make(self._read_parts(parts, group.topics, parts.places))
-        if group.make is make_truth:  # the tables that it is made of aren't kept
-            size = 24 * parts.counts[TICKS.name]
-        episode.__dict__.update(fields)
-        self._loaded.append((episode, list(fields), size))
+            value = MAKERS[name](self.tables)
+        self.__dict__[name] = value
+        return value
 
-    def _read_parts(
-        self, parts: EpisodeParts, topics: Sequence[Topic], places: Sequence[list[int]]
-    ) -> EpisodeParts:
-        read_parts = parts.make_blank()
-        for _ in self._fill_parts(read_parts, topics, places):
-            pass
-        return read_parts
-
-    def _fill_parts(
-        self, parts: EpisodeParts, topics: Sequence[Topic], places: Sequence[list[int]]
-    ) -> Iterator[int]:
-        """Read topics of an episode chunk by chunk into `parts`; yields how many bytes that was."""
-        wanted = {number: topic for number, topic in self._topics.items() if topic in topics}
-        with open_file(self._path) as file:
-            if _identify_file(file) != self._identity:
-                raise ConfigError("has changed since it was read: read it again")
-            stream = RecordStream(file, wanted)
-            for at, first, last in places:
-                size = 0
-                for opcode, content in stream.read_again(at):
-                    if opcode == MESSAGE and first <= stream.index <= last:
-                        channel, _, time, _ = MESSAGE_HEAD.unpack_from(content)
-                        if channel in wanted:
-                            data = parse_content(wanted[channel], content[MESSAGE_HEAD.size :])
-                            parts.buffers[wanted[channel].name].add(time, data)
-                            size += len(data)
-                yield size
-
-    def iterate_blocks(self, parts: EpisodeParts) -> Iterator[Episode]:
-        """Yield ticks, truth, movers and wire of an episode in blocks."""
-        block, carried = parts.make_blank(), np.zeros((0, len(EXCHANGES.columns)))
-        topics, size = (TICKS, EXCHANGES, MOVERS, WIRE_SENT, WIRE_RECEIVED), 0
-        fields = describe_parts(parts) | make_steps(block) | make_scans(block)
-        for number, read_bytes in enumerate(self._fill_parts(block, topics, parts.places), 1):
-            size += read_bytes
-            if size < BLOCK_BYTES and number < len(parts.places):
-                continue
-            exchanges = np.concatenate([carried, block.table(EXCHANGES)])
-            carried = exchanges[-CARRIED_ROWS:].copy()
-            truth = join_truth(block.table(TICKS), exchanges)
-            fields |= make_ticks(block) | make_movers(block) | make_wire(block)
-            yield Episode(**fields | {"truth": truth})
-            block.buffers.clear()
-            size = 0
-
-    def _list_revolutions(self, parts: EpisodeParts) -> Revolutions:
-        """List the revolutions of an episode; what was measured is read when it is asked for."""
-        heads: list[tuple[float, ...]] = []
-        ends: list[int] = []
-        read_parts = parts.make_blank()
-        for _ in self._fill_parts(read_parts, (REVOLUTIONS,), parts.places):
-            turns = read_parts.buffers.pop(REVOLUTIONS.name, None)
-            heads += (
-                tuple(parse_revolution(turn)[0]) for turn in (turns.pieces() if turns else ())
-            )
-            ends.append(len(heads))
-        rows = np.array(heads, np.float64).reshape(-1, 2)
-        measured = StoredRevolutions(self, parts, ends)
-        return Revolutions(check_stamps(rows[:, 1]), measured, to_integers(rows[:, 0]))
-
-    def read_revolutions(self, parts: EpisodeParts, chunk: int) -> list[Floats]:
-        """Read what was measured in the revolutions of one chunk of an episode."""
-        read_parts = self._read_parts(parts, (REVOLUTIONS,), parts.places[chunk : chunk + 1])
-        turns = read_parts.buffers[REVOLUTIONS.name].pieces()
-        return [parse_revolution(turn)[1] for turn in turns]
-
-
-def _identify_file(file: IO[bytes]) -> tuple[int, ...]:
-    status = os.fstat(file.fileno())
-    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
-
-
-class StoredRevolutions(Sequence[Floats]):
-    """What was measured in each revolution of a long episode, read chunk by chunk."""
-
-    def __init__(self, source: EpisodeSource, parts: EpisodeParts, ends: list[int]) -> None:
-        self._source, self._parts, self._ends = source, parts, ends
-        self._chunk = -1
-        self._turns: list[Floats] = []
-
-    def __len__(self) -> int:
-        return self._ends[-1] if self._ends else 0
-
-    @overload
-    def __getitem__(self, place: int) -> Floats: ...
-    @overload
-    def __getitem__(self, place: slice) -> list[Floats]: ...
-    def __getitem__(self, place: int | slice) -> Floats | list[Floats]:
-        if isinstance(place, slice):
-            return [self[number] for number in range(*place.indices(len(self)))]
-        number = range(len(self))[place]
-        chunk = bisect_right(self._ends, number)
-        if chunk != self._chunk:
-            self._turns = self._source.read_revolutions(self._parts, chunk)
-            self._chunk = chunk
-        return self._turns[number - (self._ends[chunk - 1] if chunk else 0)]
-
-
-def iterate_blocks(episode: Episode) -> Iterator[Episode]:
-    """Yield ticks, truth, movers and wire of an episode in blocks, one after the other.
-
-    They are of moderate size. Steps and scans are those of the whole episode where there is one
-    block only, and else empty.
-    """
-    if isinstance(episode, RecordedEpisode):
-        yield from episode.iterate_blocks()
-    else:
-        yield episode
+    def __repr__(self) -> str:
+        return f"<episode from {self.start:g} s on>"
 
 
 def summarize(path: Path) -> dict[str, Any]:
     """Sum up a recording, ready for JSON; ConfigError if it can't be read."""
-    with warnings.catch_warnings():  # the summary says it
-        warnings.simplefilter("ignore", RecordingWarning)
-        recording, counted, topics = _read_counted(path, revolutions=False)
+    recording, stored = _read(path, revolutions=False)
+    episodes: list[dict[str, Any]] = []
+    counts: Counter[str] = Counter()
+    is_simulated = False
+    for tables in stored:
+        counts.update(tables.rows)
+        exchanges = tables["exchanges"]
+        is_simulated = is_simulated or bool(np.isfinite(exchanges["contact"]).any())
+        end = exchanges["stamp"][-1] if len(exchanges) else tables.head.start
+        episodes.append(
+            {
+                "ticks": tables.rows["ticks"],
+                "steps": max(tables.rows["steps"] - 1, 0),
+                "scans": tables.rows["scans"],
+                "duration": round(float(end - tables.head.start), 3),
+                "info": dict(tables.head.info),
+            }
+        )
+
     header = recording.header
-    episodes: list[dict[str, Any]] = [
-        {
-            "ticks": parts.counts[TICKS.name],
-            "steps": parts.counts[ACTION.name],
-            "scans": parts.counts[SCANS.name],
-            "duration": round(parts.end - parts.start, 3),
-            "info": dict(parts.info),
-        }
-        for parts in counted
-    ]
     return {
         "file": str(path),
         "sha256": recording.sha256,
         "whole": not recording.cut,
         "damage": recording.describe_damage(),
         "dropped": None if recording.cut and not recording.dropped else recording.dropped,
-        "duration": round(sum(one["duration"] for one in episodes), 3),
+        "duration": round(sum(episode["duration"] for episode in episodes), 3),
         "about": header["about"],
         "robot": {
             "sha256": header["config_sha256"][:16],
             "base_frame": recording.config.base_frame,
-            "simulated": any(parts.simulated for parts in counted),
+            "simulated": is_simulated,
         },
         "versions": header["versions"],
         "created": header["created"],
-        "topics": topics,
+        "tables": {name: counts[name] for name in TABLES if counts[name]},
         "episodes": episodes,
     }
 
 
 def summary_lines(summary: dict[str, Any]) -> list[str]:
     """Return a summary as lines of text."""
-    about, robot, episodes = summary["about"], summary["robot"], summary["episodes"]
+    about = summary["about"]
+    robot = summary["robot"]
+    episodes = summary["episodes"]
     kind = "simulated" if robot["simulated"] else "real"
-    whole = "whole" if summary["whole"] else "cut: what followed is missing"
+    state = "whole" if summary["whole"] else "cut: what followed is missing"
     if summary["damage"]:
-        whole = "damaged" if summary["whole"] else f"damaged; {whole}"
+        state = "damaged" if summary["whole"] else f"damaged; {state}"
     count = f"{len(episodes)} episode{'s' if len(episodes) != 1 else ''}"
-    lost = "drops unknown"  # the end, which would tell them, is missing
+    lost = "drops unknown"  # the end, which has their number, is missing
     if summary["dropped"] is not None:
-        least = "" if summary["whole"] else "at least "
-        lost = f"{least}{summary['dropped']:,} dropped" if summary["dropped"] else "nothing dropped"
+        limit = "" if summary["whole"] else "at least "
+        lost = f"{limit}{summary['dropped']:,} dropped" if summary["dropped"] else "nothing dropped"
+
     lines = [
-        f"{summary['file']}: {whole}; {count}, {summary['duration']:.1f} s, {lost}",
+        f"{summary['file']}: {state}; {count}, {summary['duration']:.1f} s, {lost}",
         f"{kind} robot, config {robot['sha256']}; file {summary['sha256']}",
     ]
     if summary["damage"]:
@@ -365,13 +424,13 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     if about:
         lines.append(", ".join(f"{name} {_shorten(value)}" for name, value in about.items()))
     lines += [
-        f"episode {number}: {one['duration']:.1f} s, {one['ticks']:,} ticks, "
-        f"{one['steps']} steps, {one['scans']} scans; {_shorten(one['info'])}"
-        for number, one in enumerate(episodes[:20])
+        f"episode {number}: {episode['duration']:.1f} s, {episode['ticks']:,} ticks, "
+        f"{episode['steps']} steps, {episode['scans']} scans; {_shorten(episode['info'])}"
+        for number, episode in enumerate(episodes[:20])
     ]
     if len(episodes) > 20:
         lines.append(f"... and {len(episodes) - 20} more episodes")
-    return lines + [f"{name:<20} {count:>9,}" for name, count in summary["topics"].items()]
+    return lines + [f"{name:<20} {count:>9,}" for name, count in summary["tables"].items()]
 
 
 def _shorten(value: Any) -> str:

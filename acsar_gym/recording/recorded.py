@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.links.base import Link, LinkWrapper
-from acsar_gym.recording.encoder import Exchange, Moved, Written
+from acsar_gym.recording.events import Exchange, Moved, Written
 from acsar_gym.wire import round_stamp
 from acsar_gym.worlds import Scene
 

@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -18,100 +18,85 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, show_value
 from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.links.base import Link
-from acsar_gym.recording.encoder import (
-    NEW_FILE,
-    Began,
-    Clock,
-    Encoder,
-    Event,
-    Exchange,
-    Fault,
-    Scanned,
-    Tick,
-)
+from acsar_gym.recording.events import Began, Clock, Event, Exchange, Fault, Scanned, Tick
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.recorded import RecordedLink
-from acsar_gym.recording.sinks import McapFile, Sink, check_target, next_number
+from acsar_gym.recording.writer import RecordingWriter, check_target, next_number
 from acsar_gym.robot import DriveObserver, Robot
 from acsar_gym.sensors.lidar import find_lidar
 
 QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
 WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s]; from then on it drops, too
 ROOM_POLL = 0.001  # how often a simulation looks whether the writer has caught up [s]
-SHORTEST_FILE = 1.0  # shortest time after which a new file may begin [s]
-WRITER_PAUSE = 0.02  # how often the writer looks for events [s]
-WRITER_BATCH = 16  # events that are handled at once: the control loop never waits for the writer
-WRITER_YIELD = 0.0002  # how long it lets others run after each batch [s]
-FLUSH_PERIOD = 0.5  # how often what was written is made safe from crashes [s]
+BLOCK_PERIOD = 0.5  # how often events are written, so that they survive a crash [s]
+BLOCK_EVENTS = 300  # most events of a block: about a second of simulated time
 HANG_WAIT = 1.0  # how often the end looks whether the writer makes progress [s]
 HANG_WAITS = 10  # a writer without progress in so many looks hangs; a suspended program loses one
 
 
 class WriterThread(threading.Thread):
-    """Encodes events and passes the messages on.
+    """Writes events, about twice a second.
 
-    Attributes: `dropped`, events that were dropped; `pid`, the process that it belongs to.
+    Attributes:
+        dropped: Number of events that were dropped.
+        pid: Id of the process that it belongs to.
     """
 
-    def __init__(self, queue: deque[Event], encoder: Encoder, sinks: Sequence[Sink]) -> None:
+    def __init__(self, queue: deque[Event], writer: RecordingWriter) -> None:
         super().__init__(name="acsar_gym recorder", daemon=True)
         self.dropped = 0
         self.pid = os.getpid()
         self._queue = queue
-        self._encoder = encoder
-        self._sinks = sinks
+        self._writer = writer
         self._error: Exception | None = None
-        self._progress = 0
         self._hangs = False
-        self._ending = threading.Event()
+        self._is_ending = False
+        self._wake = threading.Event()
 
     def run(self) -> None:
         """Write until the end; after the first error nothing is written any more."""
         try:
-            due = time.monotonic() + FLUSH_PERIOD
-            while not self._ending.wait(WRITER_PAUSE):
-                self._drain_queue()
-                if time.monotonic() >= due:
-                    for sink in self._sinks:
-                        sink.flush()
-                    due = time.monotonic() + FLUSH_PERIOD
-            self._drain_queue()
-            for sink in self._sinks:
-                sink.close(self.dropped)
-        except Exception as error:  # noqa: BLE001 - told by `problem`; the robot drives on
+            while not self._is_ending:
+                self._wake.wait(BLOCK_PERIOD)
+                self._wake.clear()
+                self._write_queue()
+            self._write_queue()
+            self._writer.close(self.dropped)
+        except Exception as error:  # noqa: BLE001 - reported by `problem`; the robot drives on
             self._error = error
-            for sink in self._sinks:
-                sink.abandon()
-            while not self._ending.wait(WRITER_PAUSE):
+            self._writer.abandon()
+            while not self._is_ending:
                 self._queue.clear()
+                self._wake.wait(BLOCK_PERIOD)
 
-    def _drain_queue(self) -> None:
-        """Write what waits in the queue now, batch by batch."""
+    def hurry(self) -> None:
+        """Write now what waits: the queue is full."""
+        self._wake.set()
+
+    def _write_queue(self) -> None:
+        """Write the events that wait now."""
         queue = self._queue
-        for _ in range(len(queue) // WRITER_BATCH + 1):
-            events = [queue.popleft() for _ in range(min(WRITER_BATCH, len(queue)))]
-            for message in self._encoder.encode(events, self.dropped):
-                for sink in self._sinks:
-                    if message is not NEW_FILE:
-                        sink.add(message)
-                    elif isinstance(sink, McapFile):
-                        sink.begin_file(self.dropped)
-                self._progress += 1
-            time.sleep(WRITER_YIELD)
+        waiting = len(queue)
+        for written in range(0, waiting, BLOCK_EVENTS):
+            count = min(waiting - written, BLOCK_EVENTS)
+            self._writer.add([queue.popleft() for _ in range(count)])
+            self._writer.write_block()
+        self._writer.flush()
 
     def finish(self) -> None:
-        """Write what waits, and end, however long it takes; one that hangs is left to itself."""
-        self._ending.set()
+        """Write what waits, and end, however long it takes; a thread that hangs is abandoned."""
+        self._is_ending = True
+        self._wake.set()
         looks = 0
         while self.is_alive() and looks < HANG_WAITS:
-            before = self._progress
+            written = self._writer.written
             self.join(HANG_WAIT)
-            looks = looks + 1 if self._progress == before else 0
+            looks = looks + 1 if self._writer.written == written else 0
         self._hangs = self.is_alive()
 
     @property
     def problem(self) -> str | None:
-        """Why writing has failed; None where it hasn't."""
+        """Why writing has failed; None if it hasn't."""
         if self._error is not None:
             return f"can't be written: {explain_error(self._error)}; what follows isn't recorded"
         if not self._hangs:
@@ -121,50 +106,53 @@ class WriterThread(threading.Thread):
 
 
 class Recorder(DriveObserver):
-    """Records one robot to an MCAP file, and shows it live.
+    """Records one robot to an MCAP file.
 
-    The control loop only appends to a queue, which a thread empties. Where the queue is full, a
-    real robot's events are dropped and counted; a simulation waits at first. A file that can't be
+    The control loop only appends to a queue, which a thread empties. If the queue is full, a real
+    robot's events are dropped and counted; a simulation waits at first. A file that can't be
     written any more, as on a full disk, doesn't stop the robot: the next reset or `close` warns
     once (RecordingWarning).
 
-    Attributes: `dropped`, events that were dropped; `number`, that of the next exchange of the
-    episode; `has_begun`, whether there has been an episode; `problem`, why the recording isn't
-    whole, None where it is.
+    Attributes:
+        dropped: Number of events that were dropped.
+        number: Number of the episode's next exchange.
+        has_begun: Whether there has been an episode.
+        problem: Why the recording isn't whole; None if it is.
 
     Args:
-        path: the file; None for a live view only. An older recording of that name is kept
-            under a number.
-        about: what the header says about it, ready for JSON; see `recording.messages`.
-        sinks: what else gets the messages.
-        capacity: most events that wait.
-        split: how long a file is [s]: then `path` with "-2", "-3" and so on goes on, at the next
-            reset, or in mid-episode where one lasts longer than a file. None for one file.
+        path: The file. An older recording of that name is kept under a number. None records
+            nothing, for recorders that keep events themselves.
+        about: What the header states about the recording, ready for JSON; see
+            `recording.messages`.
+        capacity: Largest number of events that wait.
 
-    Raises:
-        ConfigError: `split` isn't a time.
+    Example:
+        >>> import tempfile
+        >>> from acsar_gym import Robot, open_link
+        >>> from acsar_gym.recording import Recorder, read
+        >>> folder = tempfile.TemporaryDirectory()
+        >>> path = f"{folder.name}/drive.mcap"
+        >>> with Robot(open_link("planar"), recorder=Recorder(path)) as robot:
+        ...     for _ in range(100):
+        ...         robot.drive(0.2, 0.0)
+        >>> read(path).episodes[0].poses.shape
+        (100, 3)
+        >>> folder.cleanup()
     """
 
     def __init__(
         self,
         path: str | os.PathLike[str] | None,
         about: Mapping[str, Any] | None = None,
-        sinks: Sequence[Sink] = (),
         capacity: int = QUEUE_CAPACITY,
-        split: float | None = None,
     ) -> None:
-        if split is not None and not split >= SHORTEST_FILE:
-            raise ConfigError(
-                f"split = {show_value(split)}: must be at least {SHORTEST_FILE:g} s, or None"
-            )
-        self._split = split
         self.path = None if path is None else Path(path)
         self.about = dict(about or {})
         self.dropped = 0
         self.number = 0
         self.has_begun = False
         self.problem: str | None = None
-        self._sinks = list(sinks)
+
         self._capacity = capacity
         self._queue: deque[Event] = deque()
         self._info: Mapping[str, Any] = {}
@@ -180,7 +168,7 @@ class Recorder(DriveObserver):
         """Return a recorder for a file's name; a Recorder or None as it is.
 
         Raises:
-            ConfigError: for anything else.
+            ConfigError: It is anything else.
         """
         if record is None or isinstance(record, Recorder):
             return record
@@ -237,49 +225,63 @@ class Recorder(DriveObserver):
     def check(self, source: Path | None = None) -> None:
         """Check, before a link opens, that the recording can begin or go on; writes nothing.
 
+        Args:
+            source: The recording that the link replays.
+
         Raises:
-            ConfigError: it has ended, must not replace the file that is there, or is `source`,
-                which the link replays.
+            ConfigError: It has ended, would replace a file of another kind, or is `source`.
         """
         if self._closed:
-            raise ConfigError(f"{self._name}: this recording has ended: make another one")
+            raise ConfigError(f"{self.path}: this recording has ended: make another one")
         if self._writer is None and self.path is not None:
             check_target(self.path, source)
 
     def open(self, config: RobotConfig) -> None:
         """Open the file and start the writer; idempotent.
 
-        Warns (RecordingWarning) once where writing has failed since.
-
         Raises:
-            ConfigError: as for `check`, or the file can't be written.
+            ConfigError: As for `check`, or the file can't be written.
             MissingExtraError: mcap or rosbags isn't installed.
+
+        Warns:
+            RecordingWarning: Writing has failed since, once.
         """
         self.check()
         if self._writer is not None:
             self._warn(self._writer)
             return
-        if self.path is not None:
-            if self._is_copy and self.path.exists():
-                self.path = next_number(self.path)
-            self._sinks.append(McapFile(self.path, make_header(config, self.about)))
-        self._writer = WriterThread(self._queue, Encoder(config, self._split), self._sinks)
+        if self.path is None:
+            return
+        if self._is_copy and self.path.exists():
+            self.path = next_number(self.path)
+        writer = RecordingWriter(self.path, config, make_header(config, self.about))
+        self._writer = WriterThread(self._queue, writer)
         self._writer.start()
         _open_recorders.add(self)
         call_at_end(close_recorders)
 
     def describe(self, info: Mapping[str, Any], **about: Any) -> None:
-        """Say something about the next episode, and about the recording if it isn't said yet."""
+        """Describe the next episode.
+
+        Args:
+            info: Seed, goal, start and world, as far as they are known.
+            about: Entries for the header of the recording, unless it has them.
+        """
         self._info = info
         for name, value in about.items():
             self.about.setdefault(name, value)
 
     def begin(self, stamp: float, *, simulated: bool, stamped: bool = False) -> None:
-        """Begin an episode at a time of the link's clock [s]; a simulation waits for the writer.
+        """Begin an episode.
 
-        `stamped`: what arrives has the times at which it was measured; see `Link.stamped`.
+        Args:
+            stamp: Time of the reset on the link's clock [s].
+            simulated: Whether time is simulated. A simulation waits for the writer.
+            stamped: Whether lines have the times at which they were measured; see `Link.stamped`.
         """
-        self.number, self._waits, self.has_begun = 0, simulated, True
+        self.number = 0
+        self.has_begun = True
+        self._waits = simulated
         self._clock_due = stamp + 1.0
         info = {**self._info, "stamped": True} if stamped else self._info
         self._queue.append(Began(stamp, time.time_ns(), info))
@@ -298,6 +300,7 @@ class Recorder(DriveObserver):
         if len(self._queue) < self._capacity:
             self._queue.append(event)
             return
+
         deadline = time.monotonic() + WRITER_TIMEOUT if self._waits else 0.0
         while len(self._queue) >= self._capacity:
             writer = self._writer
@@ -307,24 +310,18 @@ class Recorder(DriveObserver):
                 if writer is not None:
                     writer.dropped = self.dropped
                 return
+            writer.hurry()
             time.sleep(ROOM_POLL)
         self._queue.append(event)
 
-    @property
-    def file(self) -> str:
-        """The file that is recorded to, as an absolute path; empty for a live view."""
-        return "" if self.path is None else str(self.path.absolute())
-
-    @property
-    def _name(self) -> str:
-        return "the live view" if self.path is None else str(self.path)
-
     def close(self) -> None:
-        """Write what waits, and finish the file; idempotent, and nothing before the first `open`.
+        """Write what waits, and finish the file; idempotent.
 
-        Warns (RecordingWarning) where the file couldn't be written.
+        Warns:
+            RecordingWarning: The file couldn't be written.
         """
-        writer, self._writer = self._writer, None
+        writer = self._writer
+        self._writer = None
         self._closed = self._closed or writer is not None
         _open_recorders.discard(self)
         if writer is not None and writer.pid == os.getpid():
@@ -334,12 +331,12 @@ class Recorder(DriveObserver):
     def _warn(self, writer: WriterThread) -> None:
         problem = writer.problem
         if problem is not None and self.problem is None:
-            self.problem = f"{self._name}: {problem}"
+            self.problem = f"{self.path}: {problem}"
             warnings.warn(self.problem, RecordingWarning, stacklevel=3)
 
     def __reduce__(self) -> tuple[Callable[..., Recorder], tuple[Any, ...]]:
-        """Copies haven't begun yet; where there is a file, they write one with another number."""
-        return _copy_recorder, (self.path, self.about, self._split)
+        """Copies haven't begun yet. If the file exists, they write a file with another number."""
+        return _copy_recorder, (self.path, self.about)
 
     def __enter__(self) -> Self:
         return self
@@ -353,12 +350,10 @@ class Recorder(DriveObserver):
         self.close()
 
 
-def _copy_recorder(
-    path: Path | None, about: dict[str, Any], split: float | None = None
-) -> Recorder:
-    copied = Recorder(path, about, split=split)
-    copied._is_copy = True  # noqa: SLF001 - only copies are
-    return copied
+def _copy_recorder(path: Path | None, about: dict[str, Any]) -> Recorder:
+    recorder = Recorder(path, about)
+    recorder._is_copy = True  # noqa: SLF001 - only copies are
+    return recorder
 
 
 _open_recorders: set[Recorder] = set()

@@ -9,12 +9,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links.base import Arrivals, Link, RecordedScans
-from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.recorded import REPLAY
 from acsar_gym.recording.types import Episode, Floats, Movers, Recording
@@ -23,13 +21,7 @@ from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.crowd import CLOCK, Crowd
 from acsar_gym.worlds.movers import walk
 
-LEAD_PERIODS = 2  # periods at rest before a part of an episode; this number ends a reset
 SHOWN_BYTES = 40  # bytes of a command that a message shows, the last ones
-
-
-def _ends_of(counts: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where the items of each period end in a list of all items, from 0 before the first period."""
-    return np.concatenate([[0], np.cumsum(np.maximum(counts, 0))])
 
 
 class Tape:
@@ -37,7 +29,6 @@ class Tape:
 
     Attributes:
         now: Time at the end of the newest period [s].
-        first_period: Duration of the first period [s].
         stamped: Whether the times of what arrived are those of its measurement.
     """
 
@@ -45,22 +36,19 @@ class Tape:
         self._wire = episode.wire
         self._periods = episode.exchanges
         self._revolutions = episode.revolutions
-        self._write_ends = _ends_of(self._periods.writes)
-        self._piece_ends = _ends_of(self._periods.pieces)
+        self._write_ends = np.concatenate([[0], np.cumsum(self._periods["writes"])])
+        self._piece_ends = np.concatenate([[0], np.cumsum(self._periods["pieces"])])
         self._first_tick = float(episode.stamps[0]) if len(episode.stamps) else math.inf
         self._next = 0
         self._written = 0
-        self._newest_revolution = -1
 
         self.now = episode.start
         self.stamped = bool(episode.info.get("stamped"))
-        stamps = self._periods.stamps
-        self.first_period = float(stamps[0]) - self.now if len(stamps) else 0.0
 
     @property
     def place(self) -> str:
         """Where the tape is, for messages."""
-        tick = self._next - int(np.searchsorted(self._periods.stamps, self._first_tick))
+        tick = self._next - int(np.searchsorted(self._periods["stamp"], self._first_tick))
         return f"tick {tick}" if tick > 0 else f"period {self._next} of the reset"
 
     @property
@@ -71,15 +59,12 @@ class Tape:
     @property
     def is_over(self) -> bool:
         """Whether all periods have been played."""
-        return self._next >= len(self._periods.stamps)
+        return self._next >= len(self._periods["stamp"])
 
     @property
     def has_gap(self) -> bool:
-        """Whether the recording lacks the next period, or bytes of it."""
-        number = self._next
-        lacks_writes = bool(self._write_ends[number + 1] > len(self._wire.sent))
-        lacks_pieces = bool(self._piece_ends[number + 1] > len(self._wire.got))
-        return lacks_writes or lacks_pieces or int(self._periods.numbers[number]) != number
+        """Whether the recording lacks the next period."""
+        return int(self._periods["number"][self._next]) != self._next
 
     def note_write(self) -> None:
         """Move on to the time at which the next write was done, if time was real."""
@@ -93,10 +78,9 @@ class Tape:
         number = self._next
         self._next += 1
         self._written = 0
-        self.now = float(self._periods.stamps[number])
+        self.now = float(self._periods["stamp"][number])
         sent = self._wire.sent[self._write_ends[number] : self._write_ends[number + 1]]
-        received = self._wire.got[self._piece_ends[number] : self._piece_ends[number + 1]]
-        return b"".join(sent), b"".join(received)
+        return b"".join(sent), b"".join(piece for _, piece in self.arrivals)
 
     @property
     def remaining_writes(self) -> bytes:
@@ -106,26 +90,25 @@ class Tape:
     @property
     def truth(self) -> GroundTruth | None:
         """Ground truth at the end of the newest period; None if it wasn't recorded."""
-        if not len(self._periods.truth):
+        if not len(self._periods) or math.isnan(self._periods["contact"][self.exchange]):
             return None
-        x, y, theta, linear, angular, contact = self._periods.truth[self.exchange].tolist()
-        if math.isnan(x):
-            return None
-        return GroundTruth((x, y, theta), (linear, angular), bool(contact))
+        period = self._periods[self.exchange]
+        x, y, theta = period["pose"].tolist()
+        linear, angular = period["twist"].tolist()
+        return GroundTruth((x, y, theta), (linear, angular), bool(period["contact"]))
 
     @property
     def lateness(self) -> float | None:
         """Lateness of the newest period [s]; None if time was simulated."""
-        if not len(self._periods.lateness):
+        if not len(self._periods):
             return None
-        lateness = float(self._periods.lateness[self.exchange])
+        lateness = float(self._periods["lateness"][self.exchange])
         return None if math.isnan(lateness) else lateness
 
     @property
     def arrivals(self) -> Arrivals:
         """When the bytes of the newest period arrived [s]."""
-        number = self._next
-        pieces = slice(self._piece_ends[max(number - 1, 0)], self._piece_ends[number])
+        pieces = slice(self._piece_ends[self.exchange], self._piece_ends[self._next])
         stamps = self._wire.got_stamps[pieces].tolist()
         return list(zip(stamps, self._wire.got[pieces], strict=True))
 
@@ -135,12 +118,7 @@ class Tape:
         Measurements are (3, n), as in `Revolutions.measured`. None if there is no revolution.
         """
         revolutions = self._revolutions
-        number = self._newest_revolution
-        while number + 1 < len(revolutions.stamps) and (
-            revolutions.exchanges[number + 1] < self._next
-        ):
-            number += 1
-        self._newest_revolution = number
+        number = int(np.searchsorted(revolutions.exchanges, self._next)) - 1
         if number < 0:
             return None
         return float(revolutions.stamps[number]), revolutions.measured[number]
@@ -148,7 +126,7 @@ class Tape:
     def oldest_measurement(self) -> float:
         """Return the largest age of a measurement while its revolution is the newest one [s]."""
         revolutions = self._revolutions
-        ends = self._periods.stamps
+        ends = self._periods["stamp"]
         if not (len(revolutions.stamps) and len(ends)):
             return 0.0
 
@@ -184,7 +162,7 @@ class ReplayLink(Link):
     """Replays the episodes of a recording, one per reset, with the recorded times.
 
     If commands differ from the recorded commands, the replay ends with an error that names the
-    tick. A part of an episode has no reset: the robot is at rest for the duration of a reset.
+    tick.
 
     Args:
         path: The recording.
@@ -200,7 +178,6 @@ class ReplayLink(Link):
         self._tape: Tape | None = None
         self._crowd: RecordedCrowd | None = None
         self._sent = b""
-        self._lead = 0
         self._is_open = False
 
     def open(self) -> None:
@@ -225,7 +202,7 @@ class ReplayLink(Link):
         self.open()
         recording = self._read()
         if self._next_episode >= len(recording.episodes):
-            missing = "; the file is cut: its end is missing" if self._is_cut(recording) else ""
+            missing = "; the file is cut: its end is missing" if recording.cut else ""
             raise LinkLostError(
                 f"{self._path}: all {self._next_episode} episodes have been played{missing}",
                 "make a new link to play it again",
@@ -236,18 +213,11 @@ class ReplayLink(Link):
         self._load(episode)
         has_movers = bool(len(episode.movers.stamps))
         self._crowd = RecordedCrowd(episode.movers, recording.config) if has_movers else None
-        self._lead = LEAD_PERIODS if "part" in episode.info else 0
         self._sent = b""
-
-    def _is_cut(self, recording: Recording) -> bool:
-        """Whether the file is cut after the newest episode."""
-        return recording.cut and self._next_episode == len(recording.episodes)
 
     def write(self, data: bytes) -> None:
         """Take commands, which the next `advance` compares."""
-        tape = self._playing_tape()
-        if not self._lead:
-            tape.note_write()
+        self._playing_tape().note_write()
         self._sent += data
 
     def advance(self, period: float) -> bytes:
@@ -258,12 +228,8 @@ class ReplayLink(Link):
         """
         tape = self._playing_tape()
         sent = self._sent
-        if self._lead:
-            self._lead -= 1
-            self._sent = b""
-            return encode(ZERO)
-
         self._check_next(tape)
+
         recorded, received = tape.next()
         self.lateness = tape.lateness
         if self._crowd is not None:
@@ -283,7 +249,7 @@ class ReplayLink(Link):
         """Raise LinkLostError if the next period can't be played."""
         recording = self._read()
         if tape.is_over:
-            if self._is_cut(recording):
+            if recording.cut and self._next_episode == len(recording.episodes):
                 raise LinkLostError(
                     f"{self._path}: the file is cut here, {tape.place}", "what followed is missing"
                 )
@@ -306,7 +272,7 @@ class ReplayLink(Link):
 
     def now(self) -> float:
         """Return the recorded time [s]."""
-        return self._tape.now - self._lead * self._tape.first_period if self._tape else 0.0
+        return self._tape.now if self._tape else 0.0
 
     @property
     def truth(self) -> GroundTruth | None:

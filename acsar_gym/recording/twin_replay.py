@@ -50,10 +50,11 @@ def replay_commands(
     try:
         firmware = Firmware(config, robot)
         wire = config.wire_time if log.stamped else 0.0
-        begin = now = _find_beginning(config, firmware, log, wire)
+        origin = now = _find_beginning(config, firmware, log, wire)
         last = float(log.got_stamps[-1]) + wire if len(log.got_stamps) else -math.inf
         pieces: list[tuple[float, bytes]] = []
         poses: list[tuple[float, float, float]] = []
+
         # At equal times the pose comes first: it ends a tick, and the command begins the next one.
         sent = zip((log.sent_stamps - wire).tolist(), itertools.repeat(1), log.sent, strict=False)
         events: list[tuple[float, int, bytes | None]]
@@ -61,7 +62,7 @@ def replay_commands(
         for when, _, data in sorted(events, key=lambda event: event[:2]):
             if when > now:
                 firmware.advance(when - now)
-                pieces += [(begin + stamp - wire, line) for stamp, line in firmware.arrived]
+                pieces += [(origin + stamp - wire, line) for stamp, line in firmware.arrived]
                 now = when
             if data is None:
                 poses.append(robot.truth.pose)
@@ -80,11 +81,13 @@ def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog, wire:
 
     The latest one before the first command at which the phase of its lines is the recorded one.
     """
-    period, first = 1.0 / config.feedback_rate, float(log.sent_stamps[0]) - wire
+    period = 1.0 / config.feedback_rate
+    first = float(log.sent_stamps[0]) - wire
     recorded = log.feedback(config)[0]
     if len(recorded) < 2:
         return first
     firmware.advance(4.0 * period)
+
     answered = np.array([stamp for stamp, _ in firmware.arrived]) - wire
     firmware.reset()
     if not len(answered):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, overload
 
 import numpy as np
@@ -13,17 +12,23 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.sections import WheelLetters
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
+from acsar_gym.recording.events import EXCHANGES
 from acsar_gym.worlds.crowd import SEEN_NUMBERS
 
 Floats = NDArray[np.float64]
 
 
 class Pieces(Sequence[bytes]):
-    """Many short pieces of bytes in one buffer, which takes a third of a tuple's memory."""
+    """Many short pieces of bytes in one buffer, which takes a third of a tuple's memory.
 
-    def __init__(self, data: bytes | bytearray, ends: array[int]) -> None:
+    Args:
+        data: All bytes in a row.
+        sizes: Number of bytes of each piece.
+    """
+
+    def __init__(self, data: bytes, sizes: NDArray[np.int64]) -> None:
         self._data = data
-        self._ends = ends
+        self._ends = np.cumsum(sizes)
 
     def __len__(self) -> int:
         return len(self._ends)
@@ -36,8 +41,8 @@ class Pieces(Sequence[bytes]):
         if isinstance(place, slice):
             return tuple(self[number] for number in range(*place.indices(len(self))))
         number = range(len(self._ends))[place]
-        first = self._ends[number - 1] if number else 0
-        return bytes(self._data[first : self._ends[number]])
+        first = int(self._ends[number - 1]) if number else 0
+        return self._data[first : int(self._ends[number])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,30 +158,6 @@ class Movers:
 
 
 @dataclass(frozen=True, eq=False)
-class Exchanges:
-    """The control periods of an episode's wire, those of the reset included; m of them."""
-
-    numbers: NDArray[np.int64]
-    """(m,): number of each, 0, 1, 2 and so on; what is missing was dropped."""
-    stamps: Floats
-    """(m,): end of each, on the link's clock [s]."""
-    writes: NDArray[np.int64]
-    """(m,): how many of the wire's writes belong to it."""
-    pieces: NDArray[np.int64]
-    """(m,): how many of the wire's pieces that arrived belong to it."""
-    lateness: Floats
-    """(m,): time from its deadline to its end [s]; NaN in simulation."""
-    truth: Floats
-    """(m, 6): x, y, theta, forward speed, yaw rate, contact; NaN on hardware."""
-
-    @classmethod
-    def none(cls) -> Exchanges:
-        """Return no exchanges."""
-        whole, real = np.zeros(0, np.int64), np.zeros(0)
-        return cls(whole, real, whole, whole, real, np.zeros((0, 6)))
-
-
-@dataclass(frozen=True, eq=False)
 class Episode:
     """One episode of a recording: from a reset to the next one. Angles in rad, n ticks.
 
@@ -215,9 +196,7 @@ class Episode:
     scans: Scans
     """What the LiDAR's rays were."""
     info: Mapping[str, Any] = field(default_factory=dict)
-    """Seed, goal, start and number of the episode, as far as they are known. `part` where it isn't
-    there from its reset on: `from` tells how long after it this part begins [s], and `pose` where
-    odometry had the robot then (x [m], y [m], theta [rad])."""
+    """Seed, goal, start and number of the episode, as far as they are known."""
     offset: int = 0
     """What to add to times of the link's clock for those of the file [ns]; those begin with the
     wall clock at the first reset."""
@@ -227,8 +206,9 @@ class Episode:
     """Whether a fault ended it: the last step repeats the observation before."""
     step_stamps: Floats = field(default_factory=lambda: np.zeros(0))
     """(steps + 1,): when each observation was made, on the link's clock [s]."""
-    exchanges: Exchanges = field(default_factory=Exchanges.none)
-    """The control periods of the wire, for replay."""
+    exchanges: NDArray[Any] = field(default_factory=lambda: np.zeros(0, EXCHANGES))
+    """The control periods of the wire, those of the reset included, for replay: a table whose
+    columns are those of `recording.events.EXCHANGES`. Missing numbers were dropped."""
     revolutions: Revolutions = field(default_factory=Revolutions.none)
     """What the LiDAR measured; empty unless they were asked for."""
     movers: Movers = field(default_factory=Movers.none)
@@ -237,27 +217,9 @@ class Episode:
     """Whether the task was solved; None where no env was recorded."""
 
 
-def begin_at_part(episode: Episode) -> Episode:
-    """Return an episode whose odometry begins with it, as after a reset."""
-    part = episode.info.get("part")
-    pose = part.get("pose") if isinstance(part, Mapping) else None
-    if not isinstance(pose, list) or len(pose) != 3 or not np.isfinite(pose).all():
-        return episode
-    x, y, theta = (float(number) for number in pose)
-    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
-    poses = np.array(episode.poses)
-    poses[:, :2] = (poses[:, :2] - (x, y)) @ turn
-    poses[:, 2] -= theta
-    info = {key: value for key, value in episode.info.items() if key != "start"}
-    goal = info.get("goal")
-    if isinstance(goal, list) and len(goal) == 2:
-        info["goal"] = ((np.array(goal, np.float64) - (x, y)) @ turn).tolist()
-    return replace(episode, poses=poses, info=info)
-
-
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording. What doesn't fit into memory is read from the file when it is asked for."""
+    """A recording, whose tables are read from the file when they are needed."""
 
     header: Mapping[str, Any]
     """Robot, env, task, policy, versions and clocks; see `recording.messages`."""
@@ -278,16 +240,15 @@ class Recording:
 
     @property
     def sources(self) -> set[str]:
-        """Hash of the file, and of the one that it was cut out of."""
-        part = self.header.get("cut")
-        whole = part.get("of") if isinstance(part, Mapping) else None
-        return {self.sha256, *([whole] if isinstance(whole, str) else [])}
+        """Hash of the file, and of the bag that it was made of."""
+        source = self.header.get("source")
+        return {self.sha256, *([source] if isinstance(source, str) else [])}
 
     def describe_damage(self) -> str:
-        """Say in one line what was left out of a damaged file; empty where nothing was."""
+        """Describe in one line what is missing of a damaged file; empty if nothing is."""
         if not self.damages:
             return ""
         places = f"{len(self.damages)} damaged place{'s' * (len(self.damages) != 1)} left out"
         more = ", ..." if len(self.damages) > 2 else ""
         lost = f"; {self.missing:,} control periods are missing" if self.missing else ""
-        return f"{places} ({', '.join(self.damages[:2])}{more}){lost}"
+        return f"{places} ({', '.join(self.damages[:2])}{more}){lost}; see mcap recover"

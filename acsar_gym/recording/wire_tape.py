@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.recording.encoder import Event, Exchange, Written
+from acsar_gym.recording.events import Event, Exchange, Written
 from acsar_gym.recording.recorder import Recorder
 from acsar_gym.recording.types import WireLog
 

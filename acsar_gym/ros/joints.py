@@ -21,6 +21,7 @@ class JointReader:
     Args:
         joints: Names of the joints of the wheels a, b, c and d. A joint that drives both wheels of
             a side is named twice.
+        wraps: Whether positions may wrap at full turns.
 
     Attributes:
         refused: Number of refused messages, by kind.
@@ -32,8 +33,9 @@ class JointReader:
         (2.0, 1.0, 1.0, 2.0)
     """
 
-    def __init__(self, joints: Sequence[str]) -> None:
+    def __init__(self, joints: Sequence[str], *, wraps: bool = True) -> None:
         self._joints = tuple(joints)
+        self._wraps = wraps
         self._stamp = -math.inf
         self._positions: tuple[float, ...] | None = None
         self._speeds: tuple[float, ...] = (0.0,) * len(self._joints)
@@ -105,7 +107,12 @@ class JointReader:
             self._has_velocities = True
         elif previous and turned:
             speeds = tuple(
-                _unwrap(new - old, max(abs(new), abs(old)), speed * elapsed) / elapsed
+                (
+                    _unwrap(new - old, max(abs(new), abs(old)), speed * elapsed)
+                    if self._wraps
+                    else new - old
+                )
+                / elapsed
                 for old, new, speed in zip(previous, turned, self._speeds, strict=True)
             )
         else:

@@ -1,4 +1,4 @@
-"""Rerun's page of a recording, of two, and of a live drive, in headless Chromium.
+"""Rerun's page of a recording, in headless Chromium.
 
 `make test-browser` runs these. Set ACSAR_GYM_SHOTS to a folder to keep the pictures.
 """
@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,8 +20,7 @@ from browser_tools import CHROMIUM, TIMEOUT, Tab, browser
 from PIL import Image
 from recording_tools import drive
 
-from acsar_gym import Robot, RobotConfig, open_link
-from acsar_gym.recording import Recorder
+from acsar_gym import RobotConfig
 from acsar_gym.tools.view.entities import COLOURS
 
 pytestmark = pytest.mark.skipif(
@@ -85,33 +83,3 @@ def test_a_recording_is_drawn_up_to_the_time_that_is_chosen(tmp_path: Path) -> N
         early = count_pixels(tab, tmp_path, "path")
         press(tab, 1100, TIME_BAR_ROW)
         wait_for(tab, tmp_path, "path", early + 100)
-
-
-def test_two_runs_lie_over_each_other(tmp_path: Path) -> None:
-    path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), ticks=300)
-    config = RobotConfig.of(None).model_copy(update={"wheel_radius": 0.06})
-    other = drive(tmp_path / "other.mcap", config, ticks=250)
-    with opened(tmp_path, str(path), str(other), ending=signal.SIGTERM) as tab:
-        wait_for(tab, tmp_path, "other", 300)
-        assert count_pixels(tab, tmp_path, "path") > 100
-
-
-def test_a_live_drive_is_followed(tmp_path: Path) -> None:
-    path, config = tmp_path / "tape.mcap", RobotConfig.of(None)
-    drive(path, config)
-    over = threading.Event()
-
-    def drive_slowly() -> None:
-        with Robot(open_link("planar", config), config, [], Recorder(path)) as robot:
-            while not over.wait(config.period):
-                robot.drive(0.1, 0.2)
-
-    thread = threading.Thread(target=drive_slowly)
-    with opened(tmp_path, str(path), "--live") as tab:
-        thread.start()
-        try:
-            count = wait_for(tab, tmp_path, "path", 300)
-            wait_for(tab, tmp_path, "path", count + 100)
-        finally:
-            over.set()
-            thread.join()

@@ -65,7 +65,7 @@ def test_real_drive_is_recorded_with_its_times_and_replays(
         assert replayed.timing.round_trips == pytest.approx(timing.round_trips, abs=0.01)
 
     (episode,) = read(path).episodes
-    ends = {round(stamp, 9) for stamp in episode.exchanges.stamps.tolist()}
+    ends = {round(stamp, 9) for stamp in episode.exchanges["stamp"].tolist()}
     between = [t for t in episode.wire.got_stamps.tolist() if round(t, 9) not in ends]
     assert len(between) > 30  # bytes arrived during the periods, not at their ends
     assert episode.stamps[-1] == end

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
+import shutil
+import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from bag_tools import JOINTS, make_bag, without_velocities, write_folder, write_mcap
 from recording_tools import drive
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
-from acsar_gym.recording import Recording, read
+from acsar_gym.recording import Recording, messages, read
 from acsar_gym.recording.bags import find_wheels, is_recording, open_recording
 from acsar_gym.tools.sysid.identify import identify_files
 from acsar_gym.tools.sysid.twin_gap import measure_gap
@@ -67,11 +72,14 @@ def test_a_folder_is_read_as_a_recording(
     assert_same_drive(read_bag(folder), tape)
 
 
-@pytest.mark.parametrize("packed", [CompressionMode.FILE, CompressionMode.MESSAGE])
-def test_packed_folders_are_read(packed: object, tape: Path, tmp_path: Path) -> None:
+def test_files_of_a_folder_are_read_by_their_numbers(tape: Path, tmp_path: Path) -> None:
+    """Number 10 follows number 9; names don't sort so."""
     bag = make_bag(tape, TOPICS)
-    folder = write_folder(tmp_path / "bag", bag, StoragePlugin.SQLITE3, packed)
-    assert_same_drive(read_bag(folder), tape)
+    (tmp_path / "bag").mkdir()
+    for number in range(12):
+        part = bag[number * len(bag) // 12 : (number + 1) * len(bag) // 12]
+        write_mcap(tmp_path / f"bag/bag_{number}.mcap", part)
+    assert_same_drive(read_bag(tmp_path / "bag"), tape)
 
 
 def test_stamped_twists_and_positions_alone_will_do(tape: Path, tmp_path: Path) -> None:
@@ -125,7 +133,7 @@ def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is a ROS 2 bag: name its robot with --robot"):
         open_recording(scans, None)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ConfigError, match=r"holds no ROS 2 bag: no metadata\.yaml"):
+    with pytest.raises(ConfigError, match=r"holds no ROS 2 bag: no .mcap or .db3"):
         read_bag(tmp_path / "empty")
     (tmp_path / "bad.db3").write_bytes(b"no database" * 100)
     with pytest.raises(ConfigError, match="isn't a ROS 2 bag"):
@@ -142,6 +150,107 @@ def test_a_damaged_bag_without_its_end_says_so(tape: Path, tmp_path: Path) -> No
     path.write_bytes(data[: len(data) * 3 // 4])
     with pytest.warns(RecordingWarning, match=r"bag\.mcap: the file is cut"):
         open_recording(path, ROBOT)
+
+
+def write_joints(
+    path: Path, rate: float, states: Callable[[float], tuple[list[float], list[float]]]
+) -> Path:
+    """A bag of ten seconds; `states` returns positions and velocities at a time."""
+    kind = "sensor_msgs/msg/JointState"
+    bag = []
+    for number in range(round(10.0 * rate)):
+        stamp = number / rate
+        positions, velocities = states(stamp)
+        message = messages.make_blank(kind, name=list(JOINTS))
+        message.position, message.velocity = np.array(positions), np.array(velocities)
+        data = bytes(messages.load_typestore().serialize_cdr(message, kind))
+        bag.append(("/joint_states", kind, round(stamp * 1e9), data))
+    return write_mcap(path, bag)
+
+
+def test_zeros_of_a_second_publisher_are_left_out(tmp_path: Path) -> None:
+    """A joint_state_publisher, whose positions are zero, runs beside the robot's own publisher."""
+
+    def with_zeros(stamp: float) -> tuple[list[float], list[float]]:
+        is_zero = round(100.0 * stamp) % 5 == 2
+        return ([0.0] * 4, []) if is_zero else ([2.0 * stamp] * 4, [2.0] * 4)
+
+    def without_velocities(stamp: float) -> tuple[list[float], list[float]]:
+        return with_zeros(stamp)[0], []
+
+    for number, states in enumerate((with_zeros, without_velocities)):
+        bag = write_joints(tmp_path / f"{number}.mcap", 100.0, states)
+        with pytest.warns(RecordingWarning, match=r"messages of /joint_states were left out: 200"):
+            (episode,) = read_bag(bag).episodes
+        np.testing.assert_allclose(episode.speeds[1:], 2.0, atol=1e-6)
+
+
+def test_wheels_that_are_too_fast_are_left_out_and_not_clipped(tmp_path: Path) -> None:
+    bag = write_joints(
+        tmp_path / "bag.mcap", 100.0, lambda stamp: ([], [150.0 if stamp == 5.0 else 3.0] * 4)
+    )
+    with pytest.warns(RecordingWarning, match="left out: 1 too fast"):
+        (episode,) = read_bag(bag).episodes
+    assert set(episode.speeds.ravel()) == {3.0}
+
+
+def test_positions_at_a_low_rate_are_read_or_refused(tmp_path: Path) -> None:
+    """At 5 Hz a wheel at 20 rad/s turns by more than half a turn between two messages."""
+    turning = write_joints(tmp_path / "turning.mcap", 5.0, lambda stamp: ([20.0 * stamp] * 4, []))
+    (episode,) = read_bag(turning).episodes
+    np.testing.assert_allclose(episode.speeds, 20.0)
+
+    def wrapped(stamp: float) -> tuple[list[float], list[float]]:
+        return [20.0 * stamp % 6.283185307179586] * 4, []
+
+    with pytest.raises(ConfigError, match=r"positions without velocities, 5\.0 times a second"):
+        read_bag(write_joints(tmp_path / "wrapped.mcap", 5.0, wrapped))
+
+
+def test_what_sqlite_wrote_last_is_read(tape: Path, tmp_path: Path) -> None:
+    """A recorder that was killed leaves it in a file beside the bag."""
+    bag = make_bag(tape, TOPICS)
+    (file,) = write_folder(tmp_path / "bag", bag, StoragePlugin.SQLITE3).glob("*.db3")
+    live, source = tmp_path / "live.db3", sqlite3.connect(file)
+    database = sqlite3.connect(live)
+    database.execute("pragma journal_mode=wal")
+    database.execute("pragma wal_autocheckpoint=0")
+    for (statement,) in source.execute(
+        "select sql from sqlite_master where sql is not null and name not like 'sqlite_%'"
+    ).fetchall():
+        database.execute(statement)
+    database.execute("pragma wal_checkpoint(truncate)")
+    for table in ("topics", "messages"):
+        rows = source.execute(f"select * from {table}").fetchall()  # noqa: S608 - our own names
+        marks = ",".join("?" * len(rows[0]))
+        database.executemany(f"insert into {table} values ({marks})", rows)  # noqa: S608
+        database.commit()
+    (tmp_path / "crashed").mkdir()
+    for end in ("", "-wal"):
+        shutil.copy(f"{live}{end}", tmp_path / f"crashed/bag.db3{end}")
+    before = {path: path.read_bytes() for path in (tmp_path / "crashed").iterdir()}
+    assert_same_drive(read_bag(tmp_path / "crashed" / "bag.db3"), tape)
+    assert_same_drive(read_bag(tmp_path / "crashed"), tape)
+    assert before == {path: path.read_bytes() for path in (tmp_path / "crashed").iterdir()}
+
+
+def test_packed_files_and_bags_without_a_storage_are_read(tape: Path, tmp_path: Path) -> None:
+    bag = make_bag(tape, TOPICS)
+    plain = write_mcap(tmp_path / "bag.mcap", bag)
+    packed = tmp_path / "packed.mcap.zstd"
+    packed.write_bytes(zstandard.compress(plain.read_bytes()))
+    assert_same_drive(read_bag(packed), tape)
+    packed.write_bytes(zstandard.compress(bytes(100_000_000)))
+    with pytest.raises(ConfigError, match="unpacks to more than a bag holds"):
+        read_bag(packed)
+
+    folder = write_folder(tmp_path / "bag", bag, StoragePlugin.MCAP, CompressionMode.MESSAGE)
+    metadata = folder / "metadata.yaml"
+    text = metadata.read_text()
+    metadata.write_text(re.sub("storage_identifier: .*", "storage_identifier: ''", text))
+    assert_same_drive(read_bag(folder), tape)
+    (file,) = folder.glob("*.mcap")
+    assert_same_drive(read_bag(file), tape)
 
 
 def test_one_of_several_robots_is_chosen(tape: Path, tmp_path: Path) -> None:

@@ -90,12 +90,12 @@ def test_what_cannot_be_exported_says_so(tape: Path, tmp_path: Path) -> None:
 def test_a_summary_tells_what_a_recording_holds(tape: Path, tmp_path: Path) -> None:
     found = reader.summarize(tape)
     assert found["whole"]
-    assert found["topics"]["/odom"] == 80
+    assert found["tables"]["ticks"] == 80
     assert found["episodes"][1]["info"]["seed"] == 1
     assert found["robot"]["simulated"]
     lines = reader.summary_lines(found)
     assert "whole; 2 episodes, 0.9 s, nothing dropped" in lines[0]
-    assert any(line.split() == ["/scan", "10"] for line in lines)
+    assert any(line.split() == ["scans", "10"] for line in lines)
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(tape.read_bytes()[:-200])
     assert reader.summarize(cut)["dropped"] is None

@@ -14,15 +14,15 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from acsar_gym import RobotConfig
-from acsar_gym.config import Measured
 from acsar_gym.recording import read
-from acsar_gym.recording.encoder import LEAST_DEVIATION, SLIP_SHARE
-from acsar_gym.recording.messages import TICK_COLUMNS, TOPICS
+from acsar_gym.recording.events import TABLES, Began, Fault, Tick
+from acsar_gym.recording.messages import TOPICS, make_header
+from acsar_gym.recording.writer import RecordingWriter
 from acsar_gym.worlds.world import to_odometry
 
 TICKS = 120
-UNUSED = {"/observation", "/action", "/acsar/steps", "/movers", "/acsar/movers"}
-"""Topics of environments and of movers, which a Robot alone doesn't have."""
+UNUSED = {"/observation", "/action", "/movers", "/lateness", "/rosout"}
+"""Topics of environments, movers, real time and faults, which this drive doesn't have."""
 
 
 @pytest.fixture(scope="module")
@@ -47,10 +47,9 @@ def by_rosbags(path: Path) -> dict[str, list[Any]]:
 
 def test_rosbags_reads_all_of_it(messages: dict[str, list[Any]]) -> None:
     assert set(messages) == {topic.name for topic in TOPICS} - UNUSED
-    for name in ("/odom", "/tf", "/joint_states", "/cmd_vel", "/cmd_vel_sent", "/acsar/ticks"):
+    for name in ("/odom", "/tf", "/joint_states", "/cmd_vel", "/cmd_vel_sent"):
         assert len(messages[name]) == TICKS
     assert len(messages["/scan"]) == 13
-    assert len(messages["/diagnostics"]) == 1
 
 
 def test_frames_form_the_tree_of_a_base_with_a_lidar(messages: dict[str, list[Any]]) -> None:
@@ -84,32 +83,25 @@ def test_messages_tell_what_the_robot_did(tape: Path, messages: dict[str, list[A
     assert episode.sent[0].tolist() == [0.02, 0.0]
     truth = messages["/truth"][-1].pose.pose.position
     assert [truth.x, truth.y] == episode.truth[-1, :2].tolist()
-    row = dict(zip(TICK_COLUMNS, messages["/acsar/ticks"][-1].data.tolist(), strict=True))
-    assert (row["x"], row["asked_linear"]) == (episode.poses[-1, 0], 0.3)
-    assert bytes(messages["/wire/sent"][-1].data).startswith(b"ap00.00,bp00.00")
 
 
-def test_only_where_something_moves_there_are_movers(tape: Path, tmp_path: Path) -> None:
-    """In the frame of the odometry, as cylinders, with lines of their velocities."""
+def test_movers_are_shown_in_the_frame_of_the_odometry(tmp_path: Path) -> None:
     path = record_env(tmp_path / "movers.mcap", "obstacle_goal", 1, worlds=HALL)
     shown = by_rosbags(path)["/movers"]
     (episode,) = read(path).episodes
     movers = episode.movers
     assert len(shown) == pytest.approx(len(movers.stamps) / 10, abs=1)
-    (*cylinders, lines), states = shown[0].markers, movers.states[0]
-    assert [marker.type for marker in shown[0].markers] == [3, 3, 3, 5]
-    assert {marker.header.frame_id for marker in shown[0].markers} == {"odom"}
+    states = movers.states[movers.exchanges % 10 == 0][0]
+    cylinders = shown[0].markers
+    assert [marker.type for marker in cylinders] == [3, 3, 3]
+    assert {marker.header.frame_id for marker in cylinders} == {"odom"}
     start = tuple(episode.info["start"])
-    for number, (cylinder, (x, y, vx, vy, radius)) in enumerate(
+    for number, (cylinder, (x, y, _, _, radius)) in enumerate(
         zip(cylinders, states.tolist(), strict=True)
     ):
-        at, ahead = to_odometry(start, (x, y, 0.0)), to_odometry(start, (x + vx, y + vy, 0.0))
-        place, end = cylinder.pose.position, lines.points[2 * number + 1]
+        place = cylinder.pose.position
         assert (cylinder.id, cylinder.scale.x) == (number, 2.0 * radius)
-        assert [place.x, place.y, end.x, end.y] == pytest.approx([*at[:2], *ahead[:2]])
-    topics = b"/acsar/movers", b"visualization_msgs"
-    assert [topic in path.read_bytes() for topic in topics] == [True, True]
-    assert [topic in tape.read_bytes() for topic in topics] == [False, False]
+        assert [place.x, place.y] == pytest.approx(to_odometry(start, (x, y, 0.0))[:2])
 
 
 def test_a_scan_is_of_one_moment_whose_pose_is_told(messages: dict[str, list[Any]]) -> None:
@@ -120,21 +112,28 @@ def test_a_scan_is_of_one_moment_whose_pose_is_told(messages: dict[str, list[Any
     scans = messages["/scan"]
     assert {nanoseconds(scan) for scan in scans[1:]} <= poses
     assert {scan.time_increment for scan in scans} == {0.0}
-    assert [scan.scan_time for scan in scans] == pytest.approx([0.0] + [0.1] * 12)
+    assert {round(scan.scan_time, 6) for scan in scans} == {0.1}
 
 
-def test_diagnostics_tell_of_loop_safety_wire_and_recorder(messages: dict[str, list[Any]]) -> None:
-    (told,) = messages["/diagnostics"]
-    states = {state.name: state for state in told.status}
-    assert list(states) == [
-        "acsar: control loop",
-        "acsar: safety",
-        "acsar: wire",
-        "acsar: recorder",
-    ]
-    values = {pair.key: pair.value for pair in states["acsar: control loop"].values}
-    assert values["ticks"] == "97"  # the first second, less the reset's three periods
-    assert states["acsar: recorder"].message == "0 dropped"
+def test_reasons_lateness_and_age_are_plotted_ten_times_a_second(tmp_path: Path) -> None:
+    """Each shows the worst of its tenth of a second. Faults are lines of the log."""
+    config, path = RobotConfig.of(None), tmp_path / "tape.mcap"
+    table = np.zeros(100, TABLES["ticks"])
+    table["stamp"] = 0.01 * np.arange(100)
+    table["lateness"] = np.random.default_rng(0).uniform(0.0, 0.01, 100)
+    table["reason"][47] = 3
+    writer = RecordingWriter(path, config, make_header(config, {}))
+    writer.add([Began(0.0, 10**18, {}), *(Tick(*row) for row in table.tolist())])
+    writer.add([Fault(1.0, "the cable is out")])
+    writer.close(0)
+
+    shown = by_rosbags(path)
+    worst = table["lateness"].reshape(10, 10).max(axis=1)
+    assert [message.data for message in shown["/lateness"]] == worst.tolist()
+    reasons = [message.data for message in shown["/safety_reason"]]
+    assert reasons == [0.0] * 4 + [3.0] + [0.0] * 5
+    assert len(shown["/feedback_age"]) == 10
+    assert [message.msg for message in shown["/rosout"]] == ["the cable is out"]
 
 
 def test_an_unknown_robot_has_the_driver_s_constant_covariance(
@@ -146,18 +145,3 @@ def test_an_unknown_robot_has_the_driver_s_constant_covariance(
     assert pose.diagonal().tolist() == [0.01, 0.01, 1e3, 1e3, 1e3, 0.01]
     assert twist.diagonal().tolist() == [0.01, 1e3, 1e3, 1e3, 1e3, 0.01]
     assert np.count_nonzero(pose) == np.count_nonzero(twist) == 6
-
-
-def test_the_covariance_grows_with_what_was_measured(tmp_path: Path) -> None:
-    value = RobotConfig.of(None).wheel_separation_multiplier
-    known = Measured(low=value * 0.98, high=value * 1.02, method="calibrate turn")
-    config = RobotConfig.of(None).with_(measured={"wheel_separation_multiplier": known})
-    odometry = by_rosbags(drive(tmp_path / "tape.mcap", config))["/odom"]
-    first, last = (odometry[place].pose.covariance for place in (0, -1))
-    assert first[35] == pytest.approx(LEAST_DEVIATION**2, rel=0.01)
-    (episode,) = read(tmp_path / "tape.mcap").episodes
-    dt = np.diff(episode.stamps, prepend=episode.stamps[0])
-    turned = float(np.sum(np.abs(episode.twists[:, 1]) * dt))
-    grown = math.hypot(0.02 / 1.96, SLIP_SHARE) * turned
-    assert math.sqrt(last[35]) == pytest.approx(math.hypot(LEAST_DEVIATION, grown), rel=1e-3)
-    assert last[0] == last[7] > first[0] >= 0.01  # the radius is unknown

@@ -1,224 +1,261 @@
-"""Reading recordings that are cut, damaged, foreign, old, or made to do harm."""
+"""Reading recordings that are cut, damaged, foreign, or made to do harm."""
 
 from __future__ import annotations
 
 import json
-import struct
+import re
+import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
-from mcap.writer import CompressionType, Writer
-from recording_tools import drive
+from mcap.writer import Writer
+from mover_tools import HALL
+from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
-from acsar_gym.recording import read
-from acsar_gym.recording.messages import (
-    EPISODE,
-    EXCHANGES,
-    HEADER_RECORD,
-    MCAP_MAGIC,
-    MOVERS,
-    RECORDING_FORMAT,
-    WIRE_SENT,
-    Topic,
-    array_packer,
-    make_header,
-    pack_octets,
-    pack_text,
-    seal_text,
+from acsar_gym.recording import Recording, read
+from acsar_gym.recording.blocks import (
+    FORMAT,
+    MAGIC,
+    MEDIA_TYPE,
+    NAME,
+    iterate_blocks,
+    pack_block,
 )
-from acsar_gym.recording.stream import CHUNK, DATA_END, MESSAGE
+from acsar_gym.recording.events import EXCHANGES
+from acsar_gym.recording.messages import make_header
+from acsar_gym.recording.reader import summarize, summary_lines
+from acsar_gym.recording.replay import ReplayLink
+from acsar_gym.worlds import Scene
 
-BEGIN = json.dumps({"episode": 0, "start": 0.0, "offset": 0, "wall": 0, "info": {}})
-Add = Callable[[Topic, bytes], None]
+OPENING: dict[str, Any] = {"episode": 0, "start": 0.0, "offset": 0, "info": {}}
+Tables = Mapping[str, np.ndarray]
 
 
 @pytest.fixture(scope="module")
 def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return drive(tmp_path_factory.mktemp("tape") / "tape.mcap", RobotConfig.of(None), 300)
+    """Two episodes of an env with a LiDAR, among people."""
+    path = tmp_path_factory.mktemp("tape") / "tape.mcap"
+    return record_env(path, "obstacle_goal", 2, worlds=HALL)
 
 
-def written(
-    path: Path, add: Callable[[Add], None], told: Any = None, name: str = HEADER_RECORD
-) -> Path:
-    """A file with a header and the messages that `add` adds."""
-    with path.open("wb") as file:
-        writer = Writer(file, compression=CompressionType.LZ4)
-        writer.start()
-        told = make_header(RobotConfig(), {}) if told is None else told
-        writer.add_metadata(name, seal_text("header", told))
-        channels: dict[str, int] = {}
-
-        def one(topic: Topic, data: bytes) -> None:
-            if topic.name not in channels:
-                schema = writer.register_schema(topic.kind, "ros2msg", b"")
-                channels[topic.name] = writer.register_channel(
-                    topic.name, "cdr", schema, topic.metadata
-                )
-            writer.add_message(channels[topic.name], 0, data, 0)
-
-        add(one)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
+def content(recording: Recording) -> list[tuple[bytes, ...]]:
+    return [
+        (
+            episode.poses.tobytes(),
+            b"".join(episode.wire.sent),
+            episode.observations.tobytes(),
+            episode.movers.states.tobytes(),
+        )
+        for episode in recording.episodes
+    ]
 
 
-def rows(*values: list[float]) -> Callable[[Add], None]:
-    """An episode with these exchanges."""
-
-    def add(one: Add) -> None:
-        one(EPISODE, pack_text(BEGIN))
-        for packed in array_packer("<f8", 11).pack(
-            len(values), {"data": np.array(values).reshape(-1, 11)}
-        ):
-            one(EXCHANGES, packed)
-
-    return add
-
-
-def beginning(**told: float) -> Callable[[Add], None]:
-    """An episode that begins so."""
-    return lambda one: one(EPISODE, pack_text(json.dumps(json.loads(BEGIN) | told)))
-
-
-def refused(path: Path) -> str:
-    with pytest.raises(ConfigError) as caught:
-        read(path)
-    said = str(caught.value)
-    assert said.startswith(f"{path}: ")
-    assert "\n" not in said
-    assert len(said) < len(str(path)) + 150
-    return said
+def assert_part_of(recording: Recording, whole: Recording) -> None:
+    """All that was read is what was written."""
+    for episode in recording.episodes:
+        (full,) = [
+            full
+            for full in whole.episodes
+            if full.start + full.offset / 1e9 == (episode.start + episode.offset / 1e9)
+        ]
+        kept = np.isin(full.stamps, episode.stamps)
+        np.testing.assert_array_equal(episode.poses, full.poses[kept])
+        np.testing.assert_array_equal(episode.truth, full.truth[kept])
 
 
 @pytest.mark.parametrize("share", [0.5, 0.75, 0.99])
 def test_a_cut_file_is_read_up_to_its_cut(share: float, tape: Path, tmp_path: Path) -> None:
-    whole, cut = read(tape), tmp_path / "cut.mcap"
+    cut = tmp_path / "cut.mcap"
     data = tape.read_bytes()
     cut.write_bytes(data[: int(share * len(data))])
-    found = read(cut)
-    assert found.cut
-    assert not whole.cut
-    (some,), (every,) = found.episodes, whole.episodes
-    assert 0 < len(some.stamps) <= len(every.stamps)
-    np.testing.assert_array_equal(some.poses, every.poses[: len(some.poses)])
-    assert found.config == whole.config == RobotConfig.of(None)
+    recording = read(cut)
+    assert recording.cut
+    assert recording.config == read(tape).config
+    assert len(recording.episodes[0].stamps) > 0
+    assert_part_of(recording, read(tape))
 
 
 def test_zeros_at_the_end_count_as_cut(tape: Path, tmp_path: Path) -> None:
     """A computer that lost its power may leave them."""
     lost = tmp_path / "lost.mcap"
-    data = tape.read_bytes()
-    end = data.rindex(b"acsar_gym_end") - 13
-    lost.write_bytes(data[:end] + bytes(4096))
+    lost.write_bytes(tape.read_bytes()[:-50_000] + bytes(4096))
     assert read(lost).cut
+    assert_part_of(read(lost), read(tape))
+
+
+def flip(tape: Path, tmp_path: Path, place: int, bit: int = 4) -> Path:
+    """A copy with a flipped bit."""
+    path = tmp_path / "bad.mcap"
+    data = bytearray(tape.read_bytes())
+    data[place] ^= bit
+    path.write_bytes(data)
+    return path
+
+
+def find_blocks(tape: Path) -> list[int]:
+    with tape.open("rb") as file:
+        return [block.place for block in iterate_blocks(file, [])]
+
+
+def test_no_flipped_bit_goes_unreported(tape: Path, tmp_path: Path) -> None:
+    """Neither in the exact data nor in the messages for other programs."""
+    whole, size = read(tape), tape.stat().st_size
+    rng = np.random.default_rng(5)
+    for place in [*rng.integers(0, size, 200), *range(0, 60, 3), *range(size - 40, size, 3)]:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            recording = read(flip(tape, tmp_path, int(place), 1 << int(rng.integers(8))))
+        assert len(caught) == 1 or recording.cut, place
+        assert_part_of(recording, whole)
+
+
+def test_a_damaged_block_costs_itself(tape: Path, tmp_path: Path) -> None:
+    whole, blocks = read(tape), find_blocks(tape)
+    path = flip(tape, tmp_path, blocks[3] + 2000)  # in the first episode, which has more
+    with pytest.warns(RecordingWarning, match=r"is damaged: 1 damaged place left out .*recover"):
+        recording = read(path)
+    assert recording.missing > 0
+    assert recording.dropped == 0
+    assert content(recording)[1] == content(whole)[1]
+    assert_part_of(recording, whole)
+
+    summary = summarize(path)
+    headline, _, damage, *_ = summary_lines(summary)
+    assert summary["whole"]
+    assert "bad.mcap: damaged; 2 episodes" in headline
+    assert re.match(r"1 damaged place left out \([0-9,]+ bytes from byte [0-9,]+ on", damage)
+    link = ReplayLink(path, compare=False)
+    with pytest.warns(RecordingWarning):
+        link.open()
+    link.reset(Scene())
+    with pytest.raises(Exception, match=r"has a gap, .*the file is damaged"):
+        for _ in range(1000):
+            link.advance(0.01)
+
+
+def test_a_header_that_is_damaged_is_read_at_the_end(tape: Path, tmp_path: Path) -> None:
+    with pytest.warns(RecordingWarning, match="bytes from byte 0 on"):
+        recording = read(flip(tape, tmp_path, find_blocks(tape)[0] + 500))
+    assert content(recording) == content(read(tape))
+
+
+def refused(path: Path) -> str:
+    """The message of the error."""
+    with pytest.raises(ConfigError) as caught:
+        _ = [(episode.stamps, episode.truth, episode.movers) for episode in read(path).episodes]
+    text = str(caught.value)
+    assert text.startswith(f"{path}: ")
+    assert "\n" not in text
+    return text
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"", "not an MCAP file"),
+        (MAGIC, "isn't a recording of acsar_gym"),
+        (b"x" * 100, "not an MCAP file"),
+    ],
+    ids=["empty", "magic", "noise"],
+)
+def test_foreign_files_are_refused(data: bytes, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.mcap"
+    path.write_bytes(data)
+    assert text in refused(path)
 
 
 def test_a_file_that_was_cut_before_its_first_episode_says_so(tape: Path, tmp_path: Path) -> None:
-    cut = tmp_path / "cut.mcap"
-    for size, said in (20, "isn't a recording of acsar_gym"), (3500, "is cut before its first"):
-        cut.write_bytes(tape.read_bytes()[:size])
-        assert said in refused(cut)
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(tape.read_bytes()[: find_blocks(tape)[1] + 9])
+    assert "is cut before its first episode" in refused(path)
+
+
+def write_blocks(path: Path, *blocks: bytes, **header: Any) -> Path:
+    """A file whose checksums are right, with these blocks after the header and before the end."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        first = json.dumps({"header": make_header(RobotConfig(), {}) | header})
+        place = 0
+        for block in (first.encode() + b"\n", *blocks, b'{"dropped": 0}\n'):
+            file.flush()
+            before = zlib.crc32(path.read_bytes()[place:])
+            line, _, data = block.partition(b"\n")
+            head = json.dumps({**json.loads(line), "before": before})
+            writer.add_attachment(0, 0, NAME, MEDIA_TYPE, head.encode() + b"\n" + data)
+            file.flush()
+            place = file.tell()
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def make_block(tables: Tables | None = None, **head: Any) -> bytes:
+    return pack_block({"before": 0, **OPENING, **head}, tables or {})
+
+
+def make_exchanges(*stamps: float) -> Tables:
+    table = np.zeros(len(stamps), EXCHANGES)
+    table["stamp"] = stamps
+    return {"exchanges": table}
+
+
+def test_blocks_that_are_written_by_hand_are_read(tmp_path: Path) -> None:
+    path = write_blocks(tmp_path / "file.mcap", make_block(make_exchanges(0.5, 1.0)))
+    recording = read(path)
+    assert not recording.damages
+    assert recording.episodes[0].exchanges["stamp"].tolist() == [0.5, 1.0]
+
+
+MOVER = np.array([[[1.0, 2.0, 0.0, 0.0, 0.3]]])
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("block", "text"),
     [
-        (b"", "not an MCAP file"),
-        (MCAP_MAGIC, "isn't a recording of acsar_gym"),
-        (MCAP_MAGIC + b"\x77" * 100, "is damaged"),
-        (MCAP_MAGIC + struct.pack("<BQ", MESSAGE, 2**63), "is damaged"),
+        (make_block(start=-1e300), "start = "),
+        (make_block(offset=2**70), "offset = "),
+        (make_block(make_exchanges(5.0, 4.0)), "times go backwards"),
+        (make_block(make_exchanges(np.nan)), "a time that is out of range"),
+        (make_block({"mover_states": MOVER + np.inf}), "out of range"),
+        (make_block({"mover_states": MOVER * 0.0}), "a mover without a radius"),
+        (make_block({"wheels": np.zeros(3)}), "an unknown table"),
+        (make_block(make_exchanges(1.0))[:-20], "can't be unpacked"),
     ],
-    ids=["empty", "magic", "noise", "long"],
+    ids=["start", "offset", "backwards", "nan", "infinite", "radius", "unknown", "short"],
 )
-def test_foreign_files_are_told(content: bytes, said: str, tmp_path: Path) -> None:
-    path = tmp_path / "file.mcap"
-    path.write_bytes(content)
-    assert said in refused(path)
+def test_broken_blocks_are_refused(block: bytes, text: str, tmp_path: Path) -> None:
+    assert text in refused(write_blocks(tmp_path / "file.mcap", block))
 
 
-def test_the_recordings_of_others_and_other_formats_are_told(tmp_path: Path) -> None:
-    path = tmp_path / "file.mcap"
-    no_episode = lambda one: None  # noqa: E731
-    assert "isn't a recording of acsar_gym" in refused(written(path, no_episode, name="rosbag2"))
-    newer = make_header(RobotConfig(), {}) | {"format": RECORDING_FORMAT + 1}
-    assert f"format {RECORDING_FORMAT + 1}: this version reads" in refused(
-        written(path, no_episode, newer)
-    )
-    assert "is no mapping" in refused(written(path, no_episode, [1]))
-    whole = make_header(RobotConfig(), {})
-    for name in ("config", "about", "versions", "config_sha256", "created"):
-        less = {key: value for key, value in whole.items() if key != name}
-        for told in (less, whole | {name: [1]}):
-            assert f"is damaged: {name}" in refused(written(path, rows(), told)).replace("'", "")
-    assert "holds no episode" in refused(written(path, no_episode))
-    unknown = make_header(RobotConfig(), {}) | {"config": {"sheels": 3}}
-    assert "unknown field" in refused(written(path, rows([0.0] * 11), unknown))
+def test_other_formats_are_named(tmp_path: Path) -> None:
+    path = write_blocks(tmp_path / "file.mcap", make_block(), format=FORMAT + 1)
+    assert f"format {FORMAT + 1}: this version reads format {FORMAT}" in refused(path)
 
 
-@pytest.mark.parametrize(
-    ("add", "said"),
-    [
-        (lambda one: one(EPISODE, pack_text("{}")), "start"),
-        (rows([0.0, 5.0, *[0.0] * 9], [1.0, 4.0, *[0.0] * 9]), "times go backwards"),
-        (rows([0.0, np.nan, *[0.0] * 9]), "a time that is out of range"),
-        (beginning(start=-1e300), "start = "),
-        (beginning(offset=2**70), "offset = "),
-        (
-            lambda one: (beginning(offset=-(2**62))(one), one(WIRE_SENT, pack_octets(b""))),
-            "a time that",
-        ),
-        (lambda one: (rows()(one), one(EXCHANGES, b"\0" * 16)), "a broken row"),
-        (lambda one: (rows()(one), one(WIRE_SENT, b"\xff" * 40)), "a broken array"),
-    ],
-    ids=["episode", "backwards", "nan", "start", "offset", "wire", "row", "long"],
-)
-def test_broken_messages_are_told(add: Callable[[Add], None], said: str, tmp_path: Path) -> None:
-    assert said in refused(written(tmp_path / "file.mcap", add))
+@pytest.mark.parametrize("declared", [3, 60_000_000], ids=["short", "long"])
+def test_what_a_foreign_file_unpacks_to_is_bounded(declared: int, tmp_path: Path) -> None:
+    """Neither what a block declares nor what its compressed data declare is believed."""
+    packed = zstandard.compress(bytes(60_000_000))
+    line = {**OPENING, "before": 0, "tables": {"sent_bytes": [declared, len(packed)]}}
+    block = json.dumps(line).encode() + b"\n" + packed
+    path = write_blocks(tmp_path / "file.mcap", *([block] * 20))
+    with pytest.raises(ConfigError, match=r"unpacks to more|another size"):
+        _ = read(path).episodes[0].wire
 
 
-@pytest.mark.parametrize(
-    ("movers", "said"),
-    [
-        ([1.0, 2.0, 0.0, 0.0], "movers that can't be"),
-        ([1.0, np.inf, 0.0, 0.0, 0.3], "movers that can't be"),
-        ([1.0, 2.0, 0.0, 0.0, 0.3] * 201, "movers that can't be"),
-        ([1.0, 2.0, 0.0, 0.0, 0.0], "a mover without a radius"),
-    ],
-)
-def test_movers_that_cannot_be_are_told(movers: list[float], said: str, tmp_path: Path) -> None:
-    row = np.array([[0.0, 0.01, 0.0, 0.0, *movers]])
-
-    def add(one: Add) -> None:
-        rows([0.0, 0.01, *[0.0] * 9])(one)
-        (packed,) = array_packer("<f8", row.shape[1]).pack(1, {"data": row})
-        one(MOVERS, packed)
-
-    assert said in refused(written(tmp_path / "file.mcap", add))
-
-
-def record(opcode: int, content: bytes) -> bytes:
-    return struct.pack("<BQ", opcode, len(content)) + content
-
-
-def chunk(data: bytes, size: int | None = None) -> bytes:
-    """A chunk of zstd, which says that it unpacks to `size` bytes."""
-    packed = zstandard.compress(data)
-    head = struct.pack("<QQQI", 0, 0, len(data) if size is None else size, zlib.crc32(data))
-    kind = struct.pack("<I", 4) + b"zstd" + struct.pack("<Q", len(packed))
-    return record(CHUNK, head + kind + packed)
-
-
-def test_chunks_that_unpack_to_more_than_a_recording_has_are_left_out(tmp_path: Path) -> None:
-    start = written(tmp_path / "file.mcap", rows([0.0] * 11)).read_bytes()
-    start = start[: start.rindex(record(DATA_END, bytes(4))[:9])]
-    for bomb in chunk(bytes(60_000_000)), chunk(bytes(60_000_000), 10):
-        (tmp_path / "file.mcap").write_bytes(start + 20 * bomb)
-        with pytest.warns(RecordingWarning, match="20 damaged places left out"):
-            recording = read(tmp_path / "file.mcap")
-        assert len(recording.episodes) == 1
+def test_a_long_recording_is_read_piece_by_piece(tmp_path: Path) -> None:
+    """A table is read when it is needed, and from the same file."""
+    path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), 300)
+    (episode,) = read(path).episodes
+    assert set(episode.__dict__).isdisjoint({"poses", "wire", "scans"})
+    assert len(episode.poses) == 300
+    path.write_bytes(path.read_bytes()[:-50_000])
+    with pytest.raises(ConfigError, match=r"tape\.mcap: has changed since it was read"):
+        _ = episode.wire

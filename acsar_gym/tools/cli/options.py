@@ -192,30 +192,16 @@ class RecordOptions:
     record: File = None
     """Record to this MCAP file, for ROS 2, Foxglove and --link replay:FILE; an older recording of
     that name is kept, as FILE.1.mcap."""
-    split: Annotated[str, tyro.conf.arg(metavar="TIME")] = ""
-    """Go on in a new file, FILE-2.mcap and so on, after this time, such as 1h or 20min: at the next
-    reset, or in mid-episode where one lasts longer."""
-    view: bool = False
-    """Show it live to Foxglove, on this computer only; prints the address."""
 
     def recorder(self, command: str, **about: Any) -> Recorder | None:
         """Make the recorder that is asked for."""
-        if self.split and self.record is None:
-            raise ConfigError("--split: needs --record FILE")
-        if self.record is None and not self.view:
+        if self.record is None:
             return None
         from acsar_gym.recording import Recorder  # noqa: PLC0415
-        from acsar_gym.recording.cut import parse_duration  # noqa: PLC0415
-        from acsar_gym.recording.sinks import LiveView, check_target  # noqa: PLC0415
+        from acsar_gym.recording.writer import check_target  # noqa: PLC0415
 
-        if self.record is not None:
-            check_target(self.record)
-        sinks = []
-        if self.view:
-            sinks.append(LiveView())
-            print(f"live view: open {sinks[0].url} in Foxglove", flush=True)
-        split = parse_duration(self.split) if self.split else None
-        made = Recorder(self.record, {"command": command, **about}, sinks, split=split)
+        check_target(self.record)
+        made = Recorder(self.record, {"command": command, **about})
         _command_recorders.append(made)
         return made
 
@@ -248,11 +234,7 @@ _command_recorders: list[Recorder] = []
 
 def report_broken() -> bool:
     """Tell on stderr which recordings of this command aren't whole; whether there are any."""
-    broken = [
-        recorder.path or "live view"
-        for recorder in _command_recorders
-        if recorder.problem is not None
-    ]
+    broken = [recorder.path for recorder in _command_recorders if recorder.problem is not None]
     _command_recorders.clear()
     for name in broken:
         print_error(escape_unprintable(f"acsar-gym: {name}: the recording isn't whole"))

@@ -24,7 +24,7 @@ from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable
 from acsar_gym.recording import read
 from acsar_gym.recording.export import is_incomplete
 from acsar_gym.recording.replay import ReplayLink
-from acsar_gym.recording.types import Episode, Floats, begin_at_part
+from acsar_gym.recording.types import Episode, Floats
 from acsar_gym.safety.rules import Reason
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.goal import PointGoal
@@ -103,7 +103,7 @@ def _read_one(path: Path, env: str, goal: Goal | None) -> Demonstrations:
     if recording.cut:
         last = "the last episode is left out" if is_incomplete(recording) else "its end is missing"
         warnings.warn(f"{path}: the file is cut: {last}", RecordingWarning, stacklevel=4)
-    episodes = tuple(map(begin_at_part, recording.episodes))
+    episodes = recording.episodes
     whole = episodes[: len(episodes) - is_incomplete(recording)]
     about = recording.header["about"]
     named = about.get("env")

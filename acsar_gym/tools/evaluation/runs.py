@@ -391,7 +391,7 @@ def _split_evaluation(
             f"need --link {' or '.join(BODIES)}"
         )
     if options.get("record") is not None:
-        raise ConfigError("--record and --view: one process records: leave out --workers")
+        raise ConfigError("--record: one process records: leave out --workers")
     portable, config, source = dict(options), RobotConfig.of(robot), options.get("worlds")
     if source is not None:
         sets = parse_sets(source, alone=registry.TEST, height=lidar_height(config))

@@ -39,7 +39,7 @@ from acsar_gym.links import open_link
 from acsar_gym.links.ros2 import DRIVER_NODE, SCENE_PARAMETER, START_PARAMETER
 from acsar_gym.protocol import Speeds
 from acsar_gym.recording import Recorder
-from acsar_gym.recording.encoder import OdometryCovariance
+from acsar_gym.recording.messages import make_covariances
 from acsar_gym.robot import Robot
 from acsar_gym.ros.node import (
     NANOSECONDS,
@@ -317,7 +317,8 @@ class RobotNode(RosNode):
         self._odometry = self.publish("odom", ros.Odometry, depth=10)
         self._odom = ros.Odometry(child_frame_id=config.base_frame)
         self._odom.header.frame_id = config.odom_frame
-        self._covariance = OdometryCovariance(config, *map(self._read_diagonal, COVARIANCES))
+        covariances = make_covariances(*map(self._read_diagonal, COVARIANCES))
+        self._odom.pose.covariance, self._odom.twist.covariance = covariances
         self._scans = self.publish("scan", ros.LaserScan, depth=5)
         self._scan = ros.LaserScan()
         self._scan.header.frame_id = config.lidar_frame
@@ -460,9 +461,6 @@ class RobotNode(RosNode):
         pose.orientation.w = math.cos(theta / 2.0)
         odom.twist.twist.linear.x = linear
         odom.twist.twist.angular.z = angular
-        seconds = np.array([measured.stamp / NANOSECONDS])
-        covariances = self._covariance.update(seconds, np.array([measured.twist]))
-        odom.pose.covariance, odom.twist.covariance = (rows[0] for rows in covariances)
         self._odometry.publish(odom)
 
         if self._tf is not None:

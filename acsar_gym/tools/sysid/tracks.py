@@ -191,8 +191,7 @@ def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:
     truth = episode.truth
     if len(truth) and np.isfinite(truth).all():
         start = tuple(truth[0].tolist())
-        if "part" not in episode.info:  # which begins elsewhere
-            start = episode.info.get("start", start)
+        start = episode.info.get("start", start)
         truth = np.array([to_odometry(start, (x, y, theta)) for x, y, theta in truth.tolist()])
         truth[:, 2] = np.unwrap(truth[:, 2])
     return _make_track(episode.wire, episode.stamps, truth, config)

@@ -15,11 +15,10 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, escape_unprintable
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.protocol import WHEELS
-from acsar_gym.recording.messages import STEP_COLUMNS
 from acsar_gym.recording.types import Floats
 from acsar_gym.render.top_view import MOVER_COLOUR, TRUTH_COLOUR
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tools.view.tail import Block
+from acsar_gym.tools.view.parts import Part
 from acsar_gym.worlds import World
 from acsar_gym.worlds.crowd import NO_HIT, PERSON_HIT, ROBOT_HIT
 from acsar_gym.worlds.pool import Pool
@@ -27,8 +26,8 @@ from acsar_gym.worlds.registry import parse_name
 from acsar_gym.worlds.search import footprint_radius
 
 APPLICATION = "acsar_gym"
-RUNS = ("run", "other")
-"""What is below these entities is of the recording, and of the one that is drawn over it."""
+ROOT = "run"
+"""Entity of the run."""
 TRAILS = ("path", "truth", "seen")
 """Entities of which all that was before the shown time is seen."""
 TIMELINE = "time"
@@ -54,7 +53,6 @@ COLOURS = {
     "route": (26, 143, 90),
     "goal": (26, 170, 100),
     "movers": MOVER_COLOUR,
-    "other": (226, 60, 150),
 }
 HITS = {ROBOT_HIT: "runs into a mover", PERSON_HIT: "a mover runs into it"}
 """In words for the log."""
@@ -69,33 +67,34 @@ REASONS = {
 
 
 class EpisodeLogger:
-    """Writes an episode into a recording of Rerun, below one of RUNS; adds `shift` to its times."""
+    """Writes an episode into a recording of Rerun.
+
+    Args:
+        stream: The recording of Rerun.
+        config: The robot.
+        header: Header of the recording.
+    """
 
     def __init__(
-        self,
-        stream: rr.RecordingStream,
-        root: str,
-        config: RobotConfig,
-        header: Mapping[str, Any],
-        shift: float = 0.0,
+        self, stream: rr.RecordingStream, config: RobotConfig, header: Mapping[str, Any]
     ) -> None:
-        self._stream, self._root, self._config = stream, root, config
-        self._header, self._shift, self._is_other = header, shift, root != RUNS[0]
+        self._stream = stream
+        self._config = config
+        self._header = header
         self._begun = False
         self._ends: dict[str, Floats] = {}
         self._last = {"reason": -1.0, "contact": 0.0, "hit": NO_HIT, "mark": -1.0}
         self._seen = np.zeros(0, np.complex128)
 
-    def log(self, block: Block) -> None:
-        """Write a block."""
+    def log(self, part: Part) -> None:
+        """Write a part."""
         if not self._begun:
             self._begun = True
-            self._log_beginning(block)
-        self._log_ticks(block)
-        if not self._is_other:
-            self._log_scans(block)
-            self._log_movers(block)
-        self._send_text(sorted(self._list_lines(block)))
+            self._log_beginning(part)
+        self._log_ticks(part)
+        self._log_scans(part)
+        self._log_movers(part)
+        self._send_text(sorted(self._list_lines(part)))
 
     def log_text(self, time: float, text: str, level: str = "INFO") -> None:
         """Write a line of the log."""
@@ -103,11 +102,11 @@ class EpisodeLogger:
 
     def _send(self, entity: str, times: Floats, columns: Any) -> None:
         if len(times):
-            index = rr.TimeColumn(TIMELINE, duration=times + self._shift)
-            self._stream.send_columns(f"{self._root}/{entity}", [index], columns)
+            index = rr.TimeColumn(TIMELINE, duration=times)
+            self._stream.send_columns(f"{ROOT}/{entity}", [index], columns)
 
     def _send_static(self, entity: str, archetype: Any) -> None:
-        self._stream.log(f"{self._root}/{entity}", archetype, static=True)
+        self._stream.log(f"{ROOT}/{entity}", archetype, static=True)
 
     def _send_text(self, lines: list[tuple[float, str, str]]) -> None:
         if lines:
@@ -115,66 +114,58 @@ class EpisodeLogger:
             columns = rr.TextLog.columns(text=[escape_unprintable(t) for t in texts], level=levels)
             self._send("log", np.array(times), columns)
 
-    def _colour(self, name: str) -> tuple[int, ...]:
-        return COLOURS["other" if self._is_other else name]
-
-    def _log_beginning(self, block: Block) -> None:
+    def _log_beginning(self, part: Part) -> None:
         """What doesn't change: robot, goal, world, and what lines are called."""
-        config, body = self._config, self._colour("path")
+        config, body = self._config, COLOURS["path"]
         corners = np.array([*config.outline, config.outline[0]])
         front = np.array([(0.0, 0.0), (float(corners[:, 0].max()), 0.0)])
         self._send_static("robot/footprint", rr.LineStrips3D(_lift([corners, front]), colors=body))
         plots = [f"command/{name}" for name in ("linear", "angular")]
         plots += [f"wheels/{wheel}" for wheel in WHEELS]
         for kind in ("asked", "sent", "measured"):
-            line = rr.SeriesLines(
-                colors=self._colour(kind), names=kind + ", other" * self._is_other
-            )
+            line = rr.SeriesLines(colors=COLOURS[kind], names=kind)
             for plot in plots:
                 self._send_static(f"{plot}/{kind}", line)
         words, _, colours = zip(*REASONS.values(), strict=True)
         states = rr.StateConfiguration(values=words, labels=words, colors=colours)
         self._send_static("safety", states)
         self._send_static("lateness", rr.SeriesLines(names="lateness [ms]"))
-        if self._is_other:
-            return
-        if (goal := block.numbers("goal", 2)) is not None:
+        if (goal := part.numbers("goal", 2)) is not None:
             ring = np.array(goal) + 0.15 * CIRCLE
             self._send_static("goal", rr.LineStrips3D(_lift([ring]), colors=COLOURS["goal"]))
-        world = find_world(self._header, config, block)
+        world = find_world(self._header, config, part)
         if world is not None:
             rings = [circle[:2] + circle[2] * CIRCLE for circle in world.circles]
             shapes = [*rings, *world.segments.reshape(-1, 2, 2)]
-            lines = _lift([to_odometry_points(block.start, shape) for shape in shapes])
+            lines = _lift([to_odometry_points(part.start, shape) for shape in shapes])
             walls = rr.LineStrips3D(lines, colors=COLOURS["obstacles"])
             self._send_static("world/obstacles", walls)
             if world.path is not None:
-                path = _lift([to_odometry_points(block.start, world.path)])
+                path = _lift([to_odometry_points(part.start, world.path)])
                 route = rr.LineStrips3D(path, colors=COLOURS["route"])
                 self._send_static("world/route", route)
-        named = [f"{name} {block.info[name]}" for name in ("seed", "world") if name in block.info]
+        named = [f"{name} {part.info[name]}" for name in ("seed", "world") if name in part.info]
         self.log_text(0.0, f"begins: {', '.join(named)}" if named else "begins")
 
-    def _log_ticks(self, block: Block) -> None:
-        ticks, poses = block.ticks, block.poses
+    def _log_ticks(self, part: Part) -> None:
+        ticks = part.ticks
+        poses = ticks["pose"]
         times, half = ticks["stamp"], poses[:, 2] / 2.0
         zeros = np.zeros(len(times))
         turn = np.stack([zeros, zeros, np.sin(half), np.cos(half)], axis=1)
         place = np.column_stack([poses[:, :2], zeros])
         self._send("robot", times, rr.Transform3D.columns(translation=place, quaternion=turn))
         self._log_path("path", times, poses[:, :2])
-        truth = block.truth[np.isfinite(block.truth[:, 1])]
-        self._log_path("truth", truth[:, 0], to_odometry_points(block.start, truth[:, 1:3]))
-        for name in ("linear", "angular"):
-            for kind in ("asked", "sent", "measured"):
-                values = ticks[name if kind == "measured" else f"{kind}_{name}"]
-                self._send_scalars(f"command/{name}/{kind}", times, values)
+        truth = part.exchanges[np.isfinite(part.exchanges["contact"])]
+        true_points = to_odometry_points(part.start, truth["pose"][:, :2])
+        self._log_path("truth", truth["stamp"], true_points)
+        for axis, name in enumerate(("linear", "angular")):
+            for kind, column in (("asked", "asked"), ("sent", "sent"), ("measured", "twist")):
+                self._send_scalars(f"command/{name}/{kind}", times, ticks[column][:, axis])
         for number, wheel in enumerate(WHEELS):
-            measured = ticks[f"speed_{'abcd'[number]}"]
-            self._send_scalars(f"wheels/{wheel}/measured", times, measured)
-            if not self._is_other:
-                sent = block.sent[:, 1 + number]
-                self._send_scalars(f"wheels/{wheel}/sent", block.sent[:, 0], sent)
+            self._send_scalars(f"wheels/{wheel}/measured", times, ticks["speeds"][:, number])
+            sent = part.sent[:, 1 + number]
+            self._send_scalars(f"wheels/{wheel}/sent", part.sent[:, 0], sent)
         self._send_scalars("lateness", times, ticks["lateness"] * 1e3)
         changes = np.flatnonzero(self._changes("reason", ticks["reason"]))
         reasons = [_describe_reason(ticks["reason"][row]) for row in changes]
@@ -198,23 +189,24 @@ class EpisodeLogger:
         steps = np.diff(np.floor(way / STEP_LENGTH), prepend=0.0)
         chosen = np.concatenate([[0], 1 + np.flatnonzero(steps)])[: len(points)]
         pieces = np.stack([points[chosen[:-1]], points[chosen[1:]]], axis=1)
-        colour = [self._colour("path" if entity == "path" else "truth")] * len(pieces)
+        colour = [COLOURS[entity]] * len(pieces)
         width = np.full(len(pieces), -2.0 if entity == "path" else -1.0)
         columns = rr.LineStrips3D.columns(strips=_lift(pieces), colors=colour, radii=width)
         self._send(entity, times[chosen[1:]], columns)
         if len(chosen):
             self._ends[entity] = points[chosen[-1:]]
 
-    def _log_scans(self, block: Block) -> None:
+    def _log_scans(self, part: Part) -> None:
         """Points of each scan, and those of them that are new: what was seen so far."""
-        spec, ticks, config = ray_spec(self._config), block.ticks, self._config
-        if block.ranges.shape[1] != spec.rays or not len(ticks["stamp"]):
+        spec, ticks, config = ray_spec(self._config), part.ticks, self._config
+        if part.ranges.shape[1] != spec.rays or not len(ticks["stamp"]):
             return
-        angles, stamps = spec.angles(), block.scan_times
-        x, y = (np.interp(stamps, ticks["stamp"], ticks[name]) for name in ("x", "y"))
-        headings = np.interp(stamps, ticks["stamp"], np.unwrap(ticks["theta"]))
+        angles, stamps = spec.angles(), part.scan_times
+        x, y, theta = ticks["pose"].T
+        x, y = (np.interp(stamps, ticks["stamp"], column) for column in (x, y))
+        headings = np.interp(stamps, ticks["stamp"], np.unwrap(theta))
         points, new_points = [], []
-        for row, ranges in enumerate(block.ranges):
+        for row, ranges in enumerate(part.ranges):
             hit = np.isfinite(ranges) & (ranges < config.lidar.max_range) & (ranges > 0.0)
             mount = complex(config.lidar_x_offset, config.lidar_y_offset)
             rays = mount + ranges[hit] * np.exp(1j * angles[hit])
@@ -227,9 +219,9 @@ class EpisodeLogger:
         self._send_points("scan", stamps, points, 2.5)
         self._send_points("seen", stamps, new_points, 1.2)
 
-    def _log_movers(self, block: Block) -> None:
+    def _log_movers(self, part: Part) -> None:
         """What moves, as rings, with lines to where each will be in a second."""
-        movers = block.movers
+        movers = part.movers
         marks = np.floor(movers.stamps / MOVERS_PERIOD + 1e-6)
         chosen = np.flatnonzero(self._changes("mark", marks))
         strips, counts = [], []
@@ -237,7 +229,7 @@ class EpisodeLogger:
             x, y, vx, vy, radius = movers.states[row].T[:, :, None]
             middle, ahead = np.stack([x, y], axis=2), np.stack([x + vx, y + vy], axis=2)
             shapes = [*(middle + radius[:, :, None] * CIRCLE), *np.hstack([middle, ahead])]
-            strips += _lift([to_odometry_points(block.start, shape) for shape in shapes])
+            strips += _lift([to_odometry_points(part.start, shape) for shape in shapes])
             counts.append(len(shapes))
         colours = [COLOURS["movers"]] * len(strips)
         columns = rr.LineStrips3D.columns(strips=strips, colors=colours)
@@ -250,7 +242,7 @@ class EpisodeLogger:
         points = np.concatenate([*rows, np.zeros(0, np.complex128)])
         columns = rr.Points3D.columns(
             positions=np.stack([points.real, points.imag, np.zeros(len(points))], axis=1),
-            colors=[self._colour(entity)] * len(points),
+            colors=[COLOURS[entity]] * len(points),
             radii=np.full(len(points), -size),
         )
         self._send(entity, times, columns.partition([len(row) for row in rows]))
@@ -264,9 +256,9 @@ class EpisodeLogger:
         changes: Floats = np.diff(values, prepend=before)
         return changes
 
-    def _list_lines(self, block: Block) -> Iterator[tuple[float, str, str]]:
-        """What happened in a block: time, text and level."""
-        ticks = block.ticks
+    def _list_lines(self, part: Part) -> Iterator[tuple[float, str, str]]:
+        """What happened in a part: time, text and level."""
+        ticks = part.ticks
         times, lateness = ticks["stamp"], ticks["lateness"]
         for burst in _group_bursts(times, lateness > self._config.late_tick):
             count, worst = len(burst), float(lateness[burst].max()) * 1e3
@@ -279,21 +271,22 @@ class EpisodeLogger:
             more = self._changes(column, ticks[column]) - usual
             for burst in _group_bursts(times, more > 0.0):
                 yield float(times[burst[0]]), f"{more[burst].sum():,.0f} {text}", "WARN"
-        touched = self._changes("contact", block.truth[:, 4]) > 0.0
-        for burst in _group_bursts(block.truth[:, 0], touched):
-            yield float(block.truth[burst[0], 0]), "touches an obstacle", "ERROR"
-        movers = block.movers
+        exchanges = part.exchanges
+        touched = self._changes("contact", exchanges["contact"]) > 0.0
+        for burst in _group_bursts(exchanges["stamp"], touched):
+            yield float(exchanges["stamp"][burst[0]]), "touches an obstacle", "ERROR"
+        movers = part.movers
         for row in np.flatnonzero(self._changes("hit", movers.hits)):
             yield float(movers.stamps[row]), HITS.get(float(movers.hits[row]), "a contact"), "ERROR"
-        for time, text in block.faults:
+        for time, text in part.faults:
             yield time, text, "ERROR"
-        if len(block.steps):
-            step = dict(zip(STEP_COLUMNS, block.steps[-1].tolist(), strict=True))
+        if len(part.steps):
+            step = part.steps[-1]
             if step["terminated"] or step["truncated"]:
                 how = "failed" if step["terminated"] else "cut short by a fault"
                 how = "solved" if step["success"] else how
                 level = "INFO" if step["success"] else "WARN"
-                yield step["stamp"], f"ends: {how}, {step['step']:,.0f} steps", level
+                yield float(step["stamp"]), f"ends: {how}, {step['step']:,} steps", level
 
 
 def _lift(lines: Any) -> list[Floats]:
@@ -323,7 +316,7 @@ def _describe_reason(number: float) -> tuple[str, str, tuple[int, int, int]]:
     return REASONS.get(reason, ("unknown", "INFO", (0, 0, 0)))  # type: ignore[call-overload, no-any-return]
 
 
-def find_world(header: Mapping[str, Any], config: RobotConfig, block: Block) -> World | None:
+def find_world(header: Mapping[str, Any], config: RobotConfig, part: Part) -> World | None:
     """Return the world of a simulated episode; None where it isn't known.
 
     Only worlds of this package's own generators are made again: a recording may name any module.
@@ -333,9 +326,9 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, block: Block) -> 
     if not isinstance(options, dict):
         return None
     source: Any = options.get("worlds")
-    key: Any = block.info.get("world")
+    key: Any = part.info.get("world")
     names = [parse_name(str(item)) for item in (source if isinstance(source, list) else [source])]
-    if not block.is_simulated or not all(name and not name.module for name in names):
+    if not part.is_simulated or not all(name and not name.module for name in names):
         return None
     try:
         level = options.get("difficulty")
@@ -344,28 +337,29 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, block: Block) -> 
         return None
 
 
-def make_blueprint(block: Block, *, live: bool, gap: bool) -> rrb.Blueprint:
+def make_blueprint(part: Part) -> rrb.Blueprint:
     """Lay the views out: from above, wheels, command and why, log."""
     past = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.infinite(),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
-    x, y = block.numbers("goal", 2) or (0.0, 0.0)
+    x, y = part.numbers("goal", 2) or (0.0, 0.0)
     height = 1.2 * max(math.hypot(x, y), 3.0) + 2.0
     above = rrb.Spatial3DView(
         name="From above",
         contents="/**",
-        overrides={f"{run}/{name}": [past] for run in RUNS for name in TRAILS},
+        overrides={f"{ROOT}/{name}": [past] for name in TRAILS},
         eye_controls=rrb.EyeControls3D(
             position=(x / 2.0, y / 2.0 - 0.01, height), look_target=(x / 2.0, y / 2.0, 0.0)
         ),
     )
 
     def plot(name: str, entity: str, *, legend: bool = False) -> rrb.TimeSeriesView:
-        contents = [f"+ /{run}/{entity}/**" for run in RUNS]
         return rrb.TimeSeriesView(
-            name=name, contents=contents, plot_legend=rrb.PlotLegend(visible=legend)
+            name=name,
+            contents=f"/{ROOT}/{entity}/**",
+            plot_legend=rrb.PlotLegend(visible=legend),
         )
 
     wheels = [
@@ -374,22 +368,19 @@ def make_blueprint(block: Block, *, live: bool, gap: bool) -> rrb.Blueprint:
     ]
     twist = plot("linear [m/s]", "command/linear"), plot("angular [rad/s]", "command/angular")
     why = [rrb.StateTimelineView(name="Safety layer", contents="/run/safety")]
-    last = rrb.TimeSeriesView(name="Gap [cm]", contents="/gap/**")
-    last = last if gap else plot("Lateness [ms]", "lateness")
-    log = rrb.TextLogView(name="Log", contents=[f"+ /{run}/log" for run in RUNS])
+    lateness = plot("Lateness [ms]", "lateness")
+    log = rrb.TextLogView(name="Log", contents=f"/{ROOT}/log")
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(above, log, row_shares=[3, 1]),
             rrb.Vertical(
                 rrb.Grid(*wheels, grid_columns=2),
                 rrb.Horizontal(*twist),
-                rrb.Horizontal(*why, last),
+                rrb.Horizontal(*why, lateness),
                 row_shares=[5, 3, 2],
             ),
         ),
-        rrb.TimePanel(
-            timeline=TIMELINE, play_state="following" if live else "playing", state="collapsed"
-        ),
+        rrb.TimePanel(timeline=TIMELINE, play_state="playing", state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.BlueprintPanel(state="expanded" if block.episode else "collapsed"),
+        rrb.BlueprintPanel(state="expanded" if part.episode else "collapsed"),
     )

@@ -1,36 +1,22 @@
-"""Shows a recording, also while it is being written, and a second one over it."""
+"""Shows a recording."""
 
 from __future__ import annotations
 
 import tempfile
-import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rerun as rr
 
 from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
-from acsar_gym.recording.pairs import SeedKey, have_same_goal, number_seeds
-from acsar_gym.recording.types import Floats
-from acsar_gym.streams import print_error
-from acsar_gym.tools.view.entities import (
-    APPLICATION,
-    TIMELINE,
-    EpisodeLogger,
-    make_blueprint,
-    to_odometry_points,
-)
-from acsar_gym.tools.view.tail import Block, RecordingTail
+from acsar_gym.tools.view.entities import APPLICATION, EpisodeLogger, make_blueprint
+from acsar_gym.tools.view.parts import Part, Tape
 from acsar_gym.tools.view.viewer import merge_files, open_viewer
 
-RECORD_HINT = "drive with --record FILE, and view that file with --live"
-POLL_INTERVAL = 0.3
-"""Time between two looks at a recording that is being written [s]."""
+RECORD_HINT = "drive with --record FILE, and view that file"
 
 
 def find_recording(source: str) -> Path:
@@ -46,202 +32,90 @@ def find_recording(source: str) -> Path:
     return path
 
 
-class Overlay:
-    """A recording whose episodes are drawn over those of another one; it stays in memory."""
-
-    def __init__(self, path: Path) -> None:
-        self.tail = RecordingTail(path)
-        self.name = escape_unprintable(path.name)
-        episodes = defaultdict[int, list[Block]](list)
-        for block in self.tail.read():
-            episodes[block.episode].append(block)
-        if not episodes:
-            raise ConfigError(f"{path}: holds no episode")
-        keys = number_seeds(read_seed(blocks[0]) for blocks in episodes.values())
-        self._episodes = dict(zip(keys, episodes.values(), strict=True))
-
-    def find_partner(self, key: SeedKey, block: Block) -> list[Block]:
-        """Find the episode of the same seed and goal; ConfigError where there is none."""
-        partner = self._episodes.get(key)
-        if partner is None or not have_same_goal(
-            block.numbers("goal", 2), partner[0].numbers("goal", 2)
-        ):
-            seed = "" if key[0] is None else f" (seed {key[0]})"
-            raise ConfigError(
-                f"{self.name}: has no partner of episode {block.episode + 1}{seed}: record both "
-                "with the same seeds and goals"
-            )
-        return partner
-
-
-def read_seed(block: Block) -> int | None:
-    """Seed of an episode; None where it isn't known."""
-    seed = block.info.get("seed")
+def read_seed(part: Part) -> int | None:
+    """Return the seed of an episode; None if it isn't known."""
+    seed = part.info.get("seed")
     return seed if isinstance(seed, int) else None
 
 
-def measure_gap(
-    block: Block, partner: Sequence[Block], shift: float
-) -> Iterator[tuple[str, Floats, Floats]]:
-    """Measure how far two robots are from each other at the same time since their first ticks.
-
-    A robot whose episode is over stays where it was. Yields "odometry" and "truth", times [s] and
-    distances [m], (n,) each, where both places are known.
-    """
-    for name in ("odometry", "truth") if partner else ():
-        times, places = _list_places([block], name)
-        stamps, others = _list_places(partner, name)
-        if len(times) and len(stamps):
-            other = [np.interp(times, stamps + shift, others[:, axis]) for axis in (0, 1)]
-            yield name, times, np.hypot(places[:, 0] - other[0], places[:, 1] - other[1])
-
-
-def _list_places(blocks: Sequence[Block], name: str) -> tuple[Floats, Floats]:
-    """Times, and places in the odometry frame (n, 2), where they are known."""
-    if name == "odometry":
-        times = np.concatenate([block.ticks["stamp"] for block in blocks])
-        return times, np.concatenate([block.poses[:, :2] for block in blocks])
-    truth = np.concatenate([block.truth for block in blocks])
-    truth = truth[np.isfinite(truth[:, 1])]
-    return truth[:, 0], to_odometry_points(blocks[0].start, truth[:, 1:3])
-
-
 class RerunWriter:
-    """Writes the episodes of a recording into recordings of Rerun, each of which `connect` gets."""
+    """Writes the episodes of a recording into recordings of Rerun.
 
-    def __init__(
-        self,
-        tail: RecordingTail,
-        overlay: Overlay | None,
-        connect: Callable[[rr.RecordingStream], None],
-        *,
-        live: bool = False,
-    ) -> None:
-        self.problems: list[str] = []
+    Args:
+        tape: The recording.
+        connect: Called with each recording of Rerun, to send it somewhere.
+
+    Attributes:
+        count: Number of episodes that were written.
+    """
+
+    def __init__(self, tape: Tape, connect: Callable[[rr.RecordingStream], None]) -> None:
         self.count = 0
-        self._tail, self._overlay, self._connect = tail, overlay, connect
-        self._live = live
-        self._begin_run()
-
-    def _begin_run(self) -> None:
-        self._run = self._tail.run
-        self._number = -1
-        self._seeds: list[int | None] = []
+        self._tape = tape
+        self._connect = connect
         self._stream: Any = None
-        self._partner: list[Block] = []
-        self._end = self._shift = 0.0
-        self._has_ended = False
+        self._number = -1
+        self._end = 0.0
 
-    def update(self) -> None:
-        """Write what the recording has that wasn't written yet."""
-        for block in self._tail.read():
-            if self._tail.run != self._run:
-                self.finish_episode()
-                self._begin_run()
-            if block.episode != self._number:
-                self.finish_episode()
-                self._begin_episode(block)
-            self._logger.log(block)
-            self._end = max(self._end, block.ticks["stamp"][-1:].sum())
-            for name, times, distances in measure_gap(block, self._partner, self._shift):
-                index = rr.TimeColumn(TIMELINE, duration=times)
-                columns = rr.Scalars.columns(scalars=distances * 100.0)
-                self._stream.send_columns(f"gap/{name}", [index], columns)
-        if self._tail.is_complete:
-            self._log_end()
+    def write(self) -> None:
+        """Write all episodes.
 
-    def _log_end(self) -> None:
-        """Write how the recording has ended, once."""
-        if self._stream is not None and not self._has_ended:
-            self._has_ended = True
-            text = self._tail.describe_end()
-            level = "INFO" if text == "the recording ends" else "WARN"
-            self._logger.log_text(self._end, text, level)
+        Raises:
+            ConfigError: There are none.
+        """
+        for part in self._tape.read_parts():
+            if part.episode != self._number:
+                self._finish_episode()
+                self._begin_episode(part)
+            self._logger.log(part)
+            self._end = max(self._end, float(part.ticks["stamp"].max(initial=0.0)))
+        if not self.count:
+            raise ConfigError(f"{self._tape.path}: holds no episode")
+        text = self._tape.describe_end()
+        self._logger.log_text(self._end, text, "INFO" if text == "the recording ends" else "WARN")
+        self._finish_episode()
 
-    def _begin_episode(self, block: Block) -> None:
-        tail, overlay = self._tail, self._overlay
-        self._number, self._end = block.episode, 0.0
-        self._seeds.append(read_seed(block))
-        key = number_seeds(self._seeds)[-1]
-        self._partner, problem = [], ""
-        try:
-            if overlay is not None:
-                self._partner = overlay.find_partner(key, block)
-        except ConfigError as error:
-            problem = str(error)
-            self.problems.append(problem)
+    def _begin_episode(self, part: Part) -> None:
+        self._number = part.episode
+        self._end = 0.0
         self._stream = stream = rr.RecordingStream(APPLICATION)
         self._connect(stream)
         self.count += 1
-        seed = "" if key[0] is None else f", seed {key[0]}"
-        stream.send_recording_name(f"episode {block.episode + 1}{seed}")
-        stream.send_blueprint(make_blueprint(block, live=self._live, gap=bool(self._partner)))
-        self._logger = EpisodeLogger(stream, "run", tail.config, tail.header)
-        if problem:
-            self._logger.log_text(0.0, problem, "WARN")
-        if overlay is not None and self._partner:
-            stamps = _list_places(self._partner, "odometry")[0]
-            self._shift = float(block.ticks["stamp"][:1].sum() - stamps[:1].sum())
-            other = overlay.tail
-            logger = EpisodeLogger(stream, "other", other.config, other.header, self._shift)
-            for part in self._partner:
-                logger.log(part)
+        seed = read_seed(part)
+        name = f"episode {part.episode + 1}" + ("" if seed is None else f", seed {seed}")
+        stream.send_recording_name(name)
+        stream.send_blueprint(make_blueprint(part))
+        self._logger = EpisodeLogger(stream, self._tape.config, self._tape.header)
 
-    def finish_episode(self) -> None:
-        """Send all of the episode; idempotent."""
+    def _finish_episode(self) -> None:
+        """Send all of the episode."""
         if self._stream is not None:
             self._stream.flush()
             self._stream.disconnect()
         self._stream = None
 
-    def close(self) -> None:
-        """Send all of a recording that isn't written any more."""
-        self._log_end()
-        self.finish_episode()
-        if not self.count:
-            raise ConfigError(f"{self._tail.path}: holds no episode")
-        if len(self.problems) == self.count:
-            raise ConfigError(self.problems[0])
 
-
-def save_recording(path: Path, other: Path | None, target: Path) -> int:
+def save_recording(path: Path, target: Path) -> int:
     """Write a recording to an .rrd file; returns the number of its episodes."""
-    tail, overlay = RecordingTail(path), None if other is None else Overlay(other)
+    tape = Tape(path)
     with tempfile.TemporaryDirectory(prefix="acsar-view-", dir=target.parent) as folder:
-        parts: list[Path] = []
+        files: list[Path] = []
 
         def connect(stream: rr.RecordingStream) -> None:
-            parts.append(Path(folder) / f"{len(parts)}.rrd")
-            stream.save(parts[-1])
+            files.append(Path(folder) / f"{len(files)}.rrd")
+            stream.save(files[-1])
 
-        writer = RerunWriter(tail, overlay, connect)
-        writer.update()
-        writer.close()
-        merge_files(parts, target)
-    return len(parts)
+        RerunWriter(tape, connect).write()
+        merge_files(files, target)
+    return len(files)
 
 
-def show_recording(path: Path, other: Path | None, port: int | None, *, live: bool) -> None:
+def show_recording(path: Path, port: int | None) -> None:
     """Show a recording until the viewer is closed, or, at the page of a port, until Ctrl-C."""
-    tail, overlay = RecordingTail(path), None if other is None else Overlay(other)
+    tape = Tape(path)
     with open_viewer(port) as viewer:
-        writer = RerunWriter(tail, overlay, lambda s: s.connect_grpc(viewer.address), live=live)
-        try:
-            writer.update()
-            if not live:
-                writer.close()
-            if viewer.url:
-                text = f"{path}: open {viewer.url} in a browser; Ctrl-C ends it"
-                print(escape_unprintable(text), flush=True)
-            problem = ""
-            while viewer.process.poll() is None:
-                time.sleep(POLL_INTERVAL)
-                try:
-                    if live:
-                        writer.update()
-                except ConfigError as error:  # another recorder may have begun just now
-                    if str(error) != problem:
-                        problem = str(error)
-                        print_error(f"acsar-gym: {escape_unprintable(problem)}")
-        finally:
-            writer.finish_episode()
+        RerunWriter(tape, lambda stream: stream.connect_grpc(viewer.address)).write()
+        if viewer.url:
+            text = f"{path}: open {viewer.url} in a browser; Ctrl-C ends it"
+            print(escape_unprintable(text), flush=True)
+        viewer.process.wait()

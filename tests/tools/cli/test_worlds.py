@@ -106,13 +106,13 @@ def test_these_options_are_for_worlds_of_files(option: str, call: Call) -> None:
         assert_one_line(error, "generated worlds have a start and a goal of their own")
     code, _, error = call("evaluate", "--link", "planar", option, "1,2")
     assert code == 2
-    assert_one_line(error, f"{option} is for a world of a file: name the file, too")
+    assert_one_line(error, f"{option} is for a world of a file: name one file, too")
 
 
 def test_a_training_takes_them_too(room: str, tmp_path: Path) -> None:
     options = TrainingOptions(
         env="obstacle_goal",
-        worlds=room,
+        worlds=(room,),
         start="-1,-1,0.5",
         goal="1.2,1",
         robots=2,

@@ -142,7 +142,7 @@ def calibrate_robot(
     check_writable(output.json, robot=output.out, force=output.force)
     recorded, simulated = device.endswith(".mcap"), device in BODIES
     if recorded:
-        driving = (("--twin", setup.twin), ("--record", setup.record), ("--view", setup.view))
+        driving = (("--twin", setup.twin), ("--record", setup.record))
         check_not_given(driving)
     recording = read(Path(device)) if recorded else None
     if recording is not None and setup.robot is None:

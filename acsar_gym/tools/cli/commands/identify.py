@@ -113,8 +113,8 @@ def identify_robot(
     recorded = _list_logs(sources, logs)
     robot = setup.robot
     if recorded:
-        driving = (setup.twin, setup.record, setup.view, duration != DURATION)
-        options = ("--twin", "--record", "--view", "--duration")
+        driving = (setup.twin, setup.record, duration != DURATION)
+        options = ("--twin", "--record", "--duration")
         check_not_given(zip(options, driving, strict=True))
         known = None if robot is None else RobotConfig.of(robot)
         found = identify.identify_files([bag.open(path, robot) for path in recorded], known)

@@ -1,9 +1,7 @@
-"""Look into recordings, cut or convert them: acsar-gym record info|cut|export FILE."""
+"""Look into recordings, or convert them: acsar-gym record info|export FILE."""
 
 from __future__ import annotations
 
-import math
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,7 +11,6 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     BagOptions,
-    File,
     ResultOptions,
     RobotArg,
     print_results,
@@ -48,35 +45,6 @@ def describe_recording(
 def make_folder_name(file: Path) -> Path:
     """Return the folder beside a recording, with its name."""
     return file.with_name(f"{file.name}.tables") if file.is_dir() else file.with_suffix("")
-
-
-@command("record cut", "recordings")
-def cut_recording(
-    file: Recorded,
-    begin: Annotated[str, tyro.conf.arg(name="from", metavar="TIME")] = "0",
-    end: Annotated[str, tyro.conf.arg(name="to", metavar="TIME")] = "",
-    out: File = None,
-) -> int:
-    """Write a part of a recording to a new file.
-
-    Times are since the beginning of the recording, such as 90s, 20min, 1.5h or 1:02:30.
-
-    Args:
-        file: the recording.
-        begin: of the part.
-        end: of the part; default: the end of the recording.
-        out: the new file; default: FILE.part.mcap.
-    """
-    from acsar_gym.recording import cut  # noqa: PLC0415
-
-    target = out or file.with_suffix(f".part{file.suffix}")
-    first, last = cut.parse_duration(begin), cut.parse_duration(end) if end else math.inf
-    result = cut.cut_recording(file, first, last, target)
-    for damage in result.damages:
-        print(f"acsar-gym: {file}: left out, damaged: {damage}", file=sys.stderr)
-    count = f"{result.episodes} episode{'s' * (result.episodes != 1)}"
-    say(f"written: {target}: {count}, {result.seconds:.1f} s")
-    return 0
 
 
 @command("record export", "recordings")

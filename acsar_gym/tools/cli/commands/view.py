@@ -16,15 +16,12 @@ from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import BagOptions, File, Force, RobotArg, check_writable, say
 
 Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|LINK")]
-Other = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")]
 
 
 @dataclass(frozen=True)
 class ViewOptions:
     """What is shown, and where."""
 
-    live: bool = False
-    """Follow a recording that is being written; that of a device always is."""
     web: bool = False
     """Open it in a browser, at a page on this computer only, instead of a window."""
     port: int = 8050
@@ -35,21 +32,13 @@ class ViewOptions:
 
 
 @command("view", "recordings")
-def view_run(
-    source: Source,
-    bag: BagOptions,
-    options: ViewOptions,
-    other: Other = None,
-    robot: RobotArg = None,
-) -> int:
-    """Show a run in Rerun's viewer, recorded or while it is driven; or two over each other.
+def view_run(source: Source, bag: BagOptions, options: ViewOptions, robot: RobotArg = None) -> int:
+    """Show a recorded run in Rerun's viewer.
 
     Args:
         source: a recording, or a ROS 2 bag.
         bag: of ROS 2.
         options: what is shown, and where.
-        other: another recording that is drawn over it, such as the simulation of the same goals;
-            episodes are paired by seed and goal.
         robot: ROS 2 bags: preset or file of the robot that it is of.
     """
     from acsar_gym.recording.bags import is_recording  # noqa: PLC0415
@@ -63,15 +52,13 @@ def view_run(
     is_readable = bag_or_file.is_file() or bag_or_file.is_dir()
     is_bag = is_readable and not is_recording(bag_or_file)
     path = bag.open(bag_or_file, robot) if is_bag else show.find_recording(source)
-    if other is not None and path.exists():
-        other = bag.open(other, robot)
     if options.save is not None:
-        count = show.save_recording(path, other, options.save)
+        count = show.save_recording(path, options.save)
         say(f"{options.save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")
         return 0
     port = options.port if options.web else None
     for number in (signal.SIGINT, signal.SIGTERM):  # Rerun's program ends with this one
         signal.signal(number, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
-        show.show_recording(path, other, port, live=options.live)
+        show.show_recording(path, port)
     return 0
