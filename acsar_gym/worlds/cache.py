@@ -1,13 +1,14 @@
 """Generated worlds kept on disk: a batch needs hundreds of them, which take seconds to make.
 
-They are in a folder whose name has this package's version, the hash of the generators' sources and
-NumPy's version, in the user's cache folder or in the folder of ACSAR_GYM_CACHE. "off" keeps none.
-Worlds of users' generators aren't kept.
+They are in a folder whose name has this package's version, hashes of the generators' sources and of
+their table of left-out draws, and NumPy's version. It is in the user's cache folder or in the
+folder of ACSAR_GYM_CACHE. "off" keeps none. Worlds of users' generators aren't kept.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import pickle
 from dataclasses import replace
@@ -16,7 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from acsar_gym.resources import cache_folder, hash_sources
-from acsar_gym.worlds import generators, registry
+from acsar_gym.worlds import generators, moving, registry
 from acsar_gym.worlds.world import World
 
 MAX_CACHE_BYTES = 200 * 2**20
@@ -48,7 +49,8 @@ def cached_world(kind: str, number: int, difficulty: generators.Level, radius: f
 def fingerprint() -> str:
     """What generated worlds depend on: this package's version and sources, and NumPy's version."""
     sources = hash_sources(Path(__file__).parent)[:16]
-    return f"{version('acsar_gym')}-{sources}-numpy-{version('numpy')}"
+    redrawn = hashlib.sha256(moving.REDRAWN.read_bytes()).hexdigest()[:8]
+    return f"{version('acsar_gym')}-{sources}-{redrawn}-numpy-{version('numpy')}"
 
 
 @cache
