@@ -55,7 +55,7 @@ _HOMES = {
     "open_link": "links",
     "register": "registration",
 }
-"""The modules in which names are defined; every other name is a module's."""
+"""The modules in which names are defined. Every other name is a module's."""
 
 
 def __getattr__(name: str) -> Any:

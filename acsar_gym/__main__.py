@@ -1,4 +1,4 @@
-"""`acsar-gym` and `python -m acsar_gym`; `ros2 run acsar_gym driver` and `... policy`.
+"""`acsar-gym` and `python -m acsar_gym`. `ros2 run acsar_gym driver` and `... policy`.
 
 An emergency stop doesn't wait until the rest of the package is imported.
 """

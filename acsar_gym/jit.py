@@ -104,7 +104,7 @@ def find_folder(module: str, numba_folder: str) -> str:
 
     Args:
         module: Name of a module of this package.
-        numba_folder: Folder that the user has given to numba; may be empty.
+        numba_folder: Folder that the user has given to numba. May be empty.
 
     Raises:
         RuntimeError: No folder can be written.
@@ -135,7 +135,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
     """numba's cache on disk, which never stops a program."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Load compiled code; None if there is none, or a power failure has damaged it."""
+        """Load compiled code. None if there is none, or a power failure has damaged it."""
         try:
             loaded = super().load_overload(sig, target_context)
         except Exception:  # noqa: BLE001 - unpickling a damaged file raises anything

@@ -54,7 +54,7 @@ def compute_twist(
     right_radius: float,
     wheel_separation: float,
 ) -> tuple[float, float]:
-    """Compute the twist of four wheel speeds, for each side's own radius; also in compiled code."""
+    """Compute the twist of four wheel speeds, for each side's own radius. Also in compiled code."""
     left_speed = (b * left_radius + c * left_radius) / 2.0
     right_speed = (a * right_radius + d * right_radius) / 2.0
     return (left_speed + right_speed) / 2.0, (right_speed - left_speed) / wheel_separation
@@ -140,7 +140,7 @@ def compute_sides(
     wheel_separation: float,
     max_speed: float,
 ) -> tuple[float, float]:
-    """Return the right and left wheel speeds [rad/s], also in compiled code; NaN on overflow."""
+    """Return the right and left wheel speeds [rad/s], also in compiled code. NaN on overflow."""
     half_turn = angular * wheel_separation / 2.0
     left_speed = (linear - half_turn) / left_radius
     right_speed = (linear + half_turn) / right_radius

@@ -21,7 +21,7 @@ __all__ = ["MAX_SPEED", "WHEELS", "ZERO", "Decoder", "Reading", "Speeds", "encod
 MOTORS = "abcd"
 WHEELS = ("front_right", "front_left", "rear_left", "rear_right")
 MAX_SPEED = 99.99  # largest speed of the format [rad/s]
-MAX_LINE = 256  # longest accepted line [bytes]; longer lines are dropped up to the next line end
+MAX_LINE = 256  # longest accepted line [bytes]. Longer lines are dropped up to the next line end
 
 Speeds = tuple[float, float, float, float]  # [rad/s], in the order of WHEELS
 ZERO: Speeds = (0.0, 0.0, 0.0, 0.0)
@@ -76,7 +76,7 @@ def encode(speeds: Sequence[float], *, trailing_comma: bool = True) -> bytes:
 
 
 def check_speeds(speeds: Sequence[float]) -> Speeds:
-    """Return four wheel speeds [rad/s] as floats; CommandError unless they are finite."""
+    """Return four wheel speeds [rad/s] as floats. CommandError unless they are finite."""
     if len(speeds) != len(MOTORS):
         raise CommandError(f"a line carries 4 wheel speeds (a, b, c, d), got {len(speeds)}")
 
@@ -106,10 +106,10 @@ class Reading(NamedTuple):
     """Content of one line."""
 
     speeds: tuple[float | None, float | None, float | None, float | None]
-    """Wheel speeds [rad/s] in the order a, b, c, d; None for missing motors."""
+    """Wheel speeds [rad/s] in the order a, b, c, d. None for missing motors."""
 
     def over(self, old: Speeds) -> Speeds:
-        """Return all four speeds [rad/s]; missing motors keep the old speeds."""
+        """Return all four speeds [rad/s]. Missing motors keep the old speeds."""
         a, b, c, d = self.speeds
         return (
             old[0] if a is None else a,
@@ -120,9 +120,9 @@ class Reading(NamedTuple):
 
 
 class Decoder:
-    r"""Decodes a byte stream that arrives in chunks of any size; never raises an exception.
+    r"""Decodes a byte stream that arrives in chunks of any size. Never raises an exception.
 
-    Lines end with CR, LF or CRLF. Invalid parts are refused and counted; the other motors of the
+    Lines end with CR, LF or CRLF. Invalid parts are refused and counted. The other motors of the
     line are still used. If a motor occurs twice, its last speed counts. Truncated lines aren't
     counted as damaged if the port was opened in the middle of a line, or if a reset of the board
     started a new line. Lines of text start with # and have no valid part. Memory is bounded.
@@ -132,7 +132,7 @@ class Decoder:
         refused: Number of refused parts by reason.
         damaged: Number of parts refused since the newest line with a valid part.
         sample: Start of the newest line with a refused part, for messages.
-        notes: Different lines of text, the newest last; at most `MAX_NOTES`.
+        notes: Different lines of text, the newest last. At most `MAX_NOTES`.
 
     Example:
         >>> decoder = Decoder()
@@ -201,7 +201,7 @@ class Decoder:
         return readings
 
     def _read_line(self, line: bytes) -> Reading | None:
-        """Decode a line; four cached parts take the fast path."""
+        """Decode a line. Four cached parts take the fast path."""
         parts = line.split(b",")
         if not parts[-1]:
             parts.pop()  # after a trailing comma
@@ -264,7 +264,7 @@ def _without_truncated(line: bytes, parts: list[bytes], *, is_first: bool) -> li
 
 
 def _parse_parts(parts: list[bytes]) -> tuple[Reading | None, list[str]]:
-    """Parse parts such as `bn08.75`; returns a reading or None, and reasons of refusals."""
+    """Parse parts such as `bn08.75`. Returns a reading or None, and reasons of refusals."""
     speeds: list[float | None] = [None, None, None, None]
     refusals = []
     # An unpadded number next to numbers that are padded with zeros has lost a digit.

@@ -21,7 +21,7 @@ IDS: dict[str, dict[str, Any]] = {
     "DynaBarn-v0": {"max_episode_steps": 1000},
     "PathFollow-v0": {"max_episode_steps": 400, "reward_threshold": 10.0},
 }
-"""What `gymnasium.register` gets for each id; the one place that knows their versions."""
+"""What `gymnasium.register` gets for each id. The one place that knows their versions."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class SceneChoice:
     """Presets, files, or robots drawn by number, each of which drives the scenes."""
     score: str = ""
     """Score of an episode that succeeds: "completion_time", "cross_track", "success", or a number
-    that the task reports; see `tools.benchmark.figures.score_episode`. An empty name is
+    that the task reports. See `tools.benchmark.figures.score_episode`. An empty name is
     "completion_time" if the task has a shortest path, otherwise "success"."""
 
 
@@ -59,7 +59,7 @@ def register(
     Args:
         id: Name with a namespace, such as "mine/Clearance-v0".
         task: Class of the task, a subclass of `acsar_gym.Task`, or "module:Class".
-        max_episode_steps: Time limit of an episode [steps]; None for no limit.
+        max_episode_steps: Time limit of an episode [steps]. None for no limit.
         reward_threshold: Mean return from which the task counts as solved.
         scenes: Sets of scenes that `acsar-gym benchmark` drives, by name, as the fields of a
             `SceneChoice`, such as {"fast": {"robots": ["jackal"], "score": "laps"}}. By default

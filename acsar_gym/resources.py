@@ -18,11 +18,11 @@ ASSETS = _ROOT / "assets"
 AGENTS = _ROOT / "agents"
 """Training recipes and trained policies."""
 CACHE_VARIABLE = "ACSAR_GYM_CACHE"
-"""Environment variable that names another cache folder; "off" keeps nothing."""
+"""Environment variable that names another cache folder. "off" keeps nothing."""
 
 
 def cache_folder(name: str) -> Path | None:
-    """Return a folder in the user's cache; None if nothing is to be kept."""
+    """Return a folder in the user's cache. None if nothing is to be kept."""
     folder = os.environ.get(CACHE_VARIABLE)
     if folder is not None:
         return None if folder.lower() in ("", "0", "off") else Path(folder) / name
@@ -51,7 +51,7 @@ def hash_modules(*modules: str) -> str:
         *modules: their names.
 
     Returns:
-        The hash; empty where a module has no source file.
+        The hash. Empty where a module has no source file.
     """
     digest = hashlib.sha256()
     try:
@@ -66,7 +66,7 @@ def hash_modules(*modules: str) -> str:
 def _read_sources(first: str) -> dict[str, bytes]:
     """Contents of a module and of all that it imports, directly or indirectly, by their names.
 
-    Python's own modules and this package's don't count; of installed ones only their version.
+    Python's own modules and this package's don't count. Of installed ones only their version.
     """
     contents: dict[str, bytes] = {}
     waiting = [first]
@@ -98,7 +98,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
 
 
 def _source_file(name: str) -> Path | None:
-    """The source file of a module; None where there is none."""
+    """The source file of a module. None where there is none."""
     module = sys.modules.get(name)
     try:
         file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")

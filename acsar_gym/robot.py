@@ -66,8 +66,8 @@ class DriveObserver:
 
         Args:
             robot: The robot.
-            linear: Commanded velocity [m/s]; NaN if nothing was sent.
-            angular: Commanded turn rate [rad/s]; NaN if nothing was sent.
+            linear: Commanded velocity [m/s]. NaN if nothing was sent.
+            angular: Commanded turn rate [rad/s]. NaN if nothing was sent.
         """
 
     def after_read(self, robot: Robot) -> None:
@@ -77,7 +77,7 @@ class DriveObserver:
         """Called when an error has deactivated the robot."""
 
     def close(self) -> None:
-        """Called when the robot is closed; idempotent."""
+        """Called when the robot is closed. Idempotent."""
 
 
 class Robot:
@@ -94,12 +94,12 @@ class Robot:
         sensors: Sensors, the LiDAR first.
         shares: Wheel speeds [rad/s] that odometry integrated in the newest tick, and how long each
             held [s].
-        lateness: Lateness of the newest tick [s]; None for the first tick, and in simulation.
+        lateness: Lateness of the newest tick [s]. None for the first tick, and in simulation.
         active: Whether the link is open, and the robot can be driven.
 
     Args:
         link: The wire to the robot.
-        config: Robot configuration; None is the ACSAR robot.
+        config: Robot configuration. None is the ACSAR robot.
         sensors: Names ("lidar", "mine.rays:ThreeRays"), factories (subclasses of Sensor) or ready
             sensors. The robot owns them: it resets, polls and closes them.
         recorder: Gets to know what the robot does.
@@ -152,8 +152,8 @@ class Robot:
         command time-out.
 
         Args:
-            scene: Start, goal, world and physics; only simulated links use it.
-            rng: For the noise of sensors; None for a new generator with seed 0.
+            scene: Start, goal, world and physics. Only simulated links use it.
+            rng: For the noise of sensors. None for a new generator with seed 0.
 
         Raises:
             LinkError: Link or sensors don't work, the board is silent, or the wheels keep turning.
@@ -202,7 +202,7 @@ class Robot:
             WHILE_WAITING.reset(token)
 
     def _check_released(self) -> None:
-        """Answer requests; raise EmergencyStopError while a stop holds."""
+        """Answer requests. Raise EmergencyStopError while a stop holds."""
         if self._is_held:
             raise EmergencyStopError
         if self.link.is_real:
@@ -254,7 +254,7 @@ class Robot:
         return numbers
 
     def add_sensor_info(self, info: dict[str, float]) -> None:
-        """Add the sensors' info to an env's; ConfigError if it has one of the keys already."""
+        """Add the sensors' info to an env's. ConfigError if it has one of the keys already."""
         try:
             self.sensors.info(info)
         except BaseException as error:
@@ -285,7 +285,7 @@ class Robot:
             raise
 
     def drive(self, linear: float, angular: float) -> None:
-        """Do one control period towards a twist, within the limits; (0, 0) stops at once.
+        """Do one control period towards a twist, within the limits. (0, 0) stops at once.
 
         Errors as for `tick`.
 
@@ -337,7 +337,7 @@ class Robot:
     def _check_wheels(
         self, check: WheelCheck, speeds: Speeds | None, duration: float, *, fresh: bool
     ) -> None:
-        """Compare measured with commanded speeds; WheelError quotes what the board reports."""
+        """Compare measured with commanded speeds. WheelError quotes what the board reports."""
         if speeds is None:
             check.reset()  # the board may stop the wheels by itself
             return
@@ -362,11 +362,11 @@ class Robot:
 
     @property
     def timing(self) -> EpisodeTiming | None:
-        """Timing of the ticks since the reset; None for simulated links, whose time is exact."""
+        """Timing of the ticks since the reset. None for simulated links, whose time is exact."""
         return self._stopwatch.summary() if self._stopwatch else None
 
     def wheel_speeds(self, linear: float, angular: float) -> Speeds:
-        """Return the wheel speeds [rad/s] of a twist; `max_wheel_speed` keeps its turn radius.
+        """Return the wheel speeds [rad/s] of a twist. `max_wheel_speed` keeps its turn radius.
 
         Args:
             linear: Velocity [m/s].
@@ -406,7 +406,7 @@ class Robot:
             self._stops.confirm()
 
     def release_estop(self) -> None:
-        """Release emergency stops; the next reset lets the robot drive again.
+        """Release emergency stops. The next reset lets the robot drive again.
 
         For a person to call, who has looked after the robot, not for a program. With real wheels it
         releases all robots of this process.
@@ -416,13 +416,13 @@ class Robot:
             release_process()
 
     def stop(self) -> None:
-        """Send a zero command; no time passes."""
+        """Send a zero command. No time passes."""
         self.safety.halt(self.safety.reason)
         if self.active:
             self.wire.send(ZERO)
 
     def deactivate(self, error: BaseException | None = None) -> None:
-        """Command zero and close the link; idempotent. Sensors stay open.
+        """Command zero and close the link. Idempotent. Sensors stay open.
 
         Args:
             error: What ended the episode, for the recording.
@@ -441,7 +441,7 @@ class Robot:
             self._observer.after_error(self, error)
 
     def close(self, error: BaseException | None = None) -> None:
-        """Command zero, close link, sensors and recording; idempotent.
+        """Command zero, close link, sensors and recording. Idempotent.
 
         Args:
             error: What ended the drive, for the recording.

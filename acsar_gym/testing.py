@@ -28,7 +28,7 @@ __all__ = ["Command", "EmulatedBoard", "ScriptedLink", "emulated_board", "wait_u
 TIMEOUT = 30.0
 """Longest wait for anything that another process does [s]."""
 Command = tuple[float | None, float | None, float | None, float | None]
-"""Speeds of the wheels a to d in a line [rad/s]; None for a wheel that the line doesn't name."""
+"""Speeds of the wheels a to d in a line [rad/s]. None for a wheel that the line doesn't name."""
 
 
 class ScriptedLink(Link):
@@ -111,7 +111,7 @@ def _decode_speeds(data: bytes) -> list[Command]:
 
 
 class EmulatedBoard:
-    """A board that another process emulates on a pseudo-terminal; see `emulated_board`.
+    """A board that another process emulates on a pseudo-terminal. See `emulated_board`.
 
     Args:
         send_signal: Sends a signal to that process.
@@ -120,8 +120,8 @@ class EmulatedBoard:
         lidar_device: Path of the emulated LiDAR.
 
     Attributes:
-        device: Path that links open; empty while the cable is pulled.
-        lidar_device: Path of the emulated LiDAR; None without a LiDAR.
+        device: Path that links open. Empty while the cable is pulled.
+        lidar_device: Path of the emulated LiDAR. None without a LiDAR.
     """
 
     def __init__(
@@ -139,7 +139,7 @@ class EmulatedBoard:
         self._read_bytes = 0
 
     def events(self) -> list[dict[str, Any]]:
-        """Return the log until now; "t" is the machine's monotonic clock [s].
+        """Return the log until now. "t" is the machine's monotonic clock [s].
 
         An event has one of these keys:
 
@@ -197,12 +197,12 @@ class EmulatedBoard:
         self._send_signal(signal.SIGCONT)
 
     def pull(self) -> None:
-        """Pull the cable; the board goes on without it. Idempotent."""
+        """Pull the cable. The board goes on without it. Idempotent."""
         if self.device:
             self._move_cable(signal.SIGUSR1)
 
     def plug(self) -> None:
-        """Plug the cable in again; `device` is its new path. Idempotent."""
+        """Plug the cable in again. `device` is its new path. Idempotent."""
         if not self.device:
             self._move_cable(signal.SIGUSR2)
 

@@ -49,7 +49,7 @@ def cos_sin(theta: float) -> tuple[float, float]:
 
 @overloads(cos_sin)
 def _cos_sin(theta: Any) -> Callable[..., Any]:
-    """Replacement for `cos_sin` in compiled functions; equal to 1e-15."""
+    """Replacement for `cos_sin` in compiled functions, equal to 1e-15."""
 
     def compiled(theta: Any) -> Any:
         sine, cosine = sincos(theta)

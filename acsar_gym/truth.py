@@ -20,7 +20,7 @@ class GroundTruth:
     twist: tuple[float, float] = (0.0, 0.0)
     """Forward speed [m/s], yaw rate [rad/s]."""
     contact: bool = False
-    """Whether the robot has touched an obstacle since the reset; checked at the end of every
+    """Whether the robot has touched an obstacle since the reset. Checked at the end of every
     tick."""
     crowd: Crowd | None = None
-    """The movers around the robot; None without movers."""
+    """The movers around the robot. None without movers."""

@@ -33,13 +33,13 @@ class Wire:
         stamp: The link's time at the end of the newest period [s].
         start: The link's time at the start of the first period after `settle` [s].
         written: The link's time when the last byte of the newest command left the port, at the
-            baud rate [s]; 0 in simulation.
-        measured: When the newest line was measured [s]; None if the link's lines have no stamps.
+            baud rate [s]. 0 in simulation.
+        measured: When the newest line was measured [s]. None if the link's lines have no stamps.
 
     Args:
         link: Link to the board.
         config: Robot configuration.
-        period: Duration of an exchange [s]; None for the control period.
+        period: Duration of an exchange [s]. None for the control period.
     """
 
     def __init__(self, link: Link, config: RobotConfig, period: float | None = None) -> None:
@@ -65,7 +65,7 @@ class Wire:
         self._line_durations: list[float] = []
 
     def reset(self) -> None:
-        """Forget what was received; the wheels count as being at rest."""
+        """Forget what was received. The wheels count as being at rest."""
         self.decoder = Decoder()
         self.speeds = ZERO
         self.age = 0.0
@@ -77,7 +77,7 @@ class Wire:
         self._logs = LOG.isEnabledFor(logging.DEBUG)
 
     def send(self, speeds: Speeds) -> None:
-        """Send a command line; it is encoded again only if `speeds` is another object."""
+        """Send a command line. It is encoded again only if `speeds` is another object."""
         if speeds is not self._encoded:
             wired = speeds if self._motors is None else self._motors.to_wire(speeds)
             self._encoded = speeds
@@ -90,7 +90,7 @@ class Wire:
         """Send a command line, let one control period pass, and decode what arrived in it.
 
         Args:
-            speeds: Wheel speeds [rad/s]; None to send nothing.
+            speeds: Wheel speeds [rad/s]. None to send nothing.
 
         Returns:
             The wheel speeds of each line that arrived, oldest first, and the duration of the

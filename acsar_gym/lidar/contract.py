@@ -32,7 +32,7 @@ class Lidar(Protocol):
     """
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Start an episode; opens a device that is closed.
+        """Start an episode. Opens a device that is closed.
 
         Args:
             scene: World, and the robot's start in it.

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from acsar_gym.errors import LidarError, show_value
 from acsar_gym.lidar.scan import FULL_TURN, MAX_DISTANCE, Floats, Revolution
 
-MAX_TURNS = 2.0  # a scan covers at most this number of turns; angles in degrees cover more
+MAX_TURNS = 2.0  # a scan covers at most this number of turns: degrees cover more
 MAX_TILT = math.radians(5.0)  # a scanner may lean by up to this angle [rad]
 MIN_RATE = 0.1
 """Heads turn faster. If measurements suggest a lower rate, they were made at the same time
@@ -30,9 +30,9 @@ class LaserScan(NamedTuple):
     angle_min: float
     """Direction of the first ray, counter-clockwise about the scanner's z axis [rad]."""
     angle_increment: float
-    """From a ray to the next ray [rad]; negative for a scanner that turns clockwise."""
+    """From a ray to the next ray [rad]. Negative for a scanner that turns clockwise."""
     time_increment: float
-    """From a ray to the next ray [s]; negative if the head turns against the order of rays."""
+    """From a ray to the next ray [s]. Negative if the head turns against the order of rays."""
     scan_time: float
     """From a scan to the next scan [s]."""
     range_min: float
@@ -201,7 +201,7 @@ def make_scan(
     rays = rays or _count_rays(bearings)
     increment = FULL_TURN / rays
 
-    # Each measurement is a candidate for the rays on both sides; the nearest is written last.
+    # Each measurement is a candidate for the rays on both sides. The nearest is written last.
     places = np.mod(bearings - angle_min, FULL_TURN) / increment
     low = np.floor(places).astype(np.int64)
     gaps = np.concatenate([places - low, low + 1 - places])

@@ -34,7 +34,7 @@ class ReplayedLidar:
             self.oldest = min(self._tape.oldest_measurement(), OLDEST_SIMULATED)
 
     def scan(self) -> Revolution:
-        """Return the revolution that was the newest; LidarError if none was recorded."""
+        """Return the revolution that was the newest. LidarError if none was recorded."""
         newest = self._tape.revolution()
         if newest is None:
             raise LidarError(

@@ -48,7 +48,7 @@ class Revolution(NamedTuple):
     bearings: Floats
     """(n,): counter-clockwise from the robot's x axis [rad]."""
     distances: Floats
-    """(n,) [m]; 0 for a failed measurement."""
+    """(n,) [m]. 0 for a failed measurement."""
     times: Floats
     """(n,): time of each measurement on the clock of the robot's link [s]."""
     stamp: float
@@ -60,7 +60,7 @@ class Scan(NamedTuple):
 
     ranges: Floats
     """(rays,): range in each direction [m], within min_range to max_range, counter-clockwise from
-    -field_of_view / 2 of the robot's x axis; max_range if nothing was measured."""
+    -field_of_view / 2 of the robot's x axis. `max_range` if nothing was measured."""
     stamp: float
     """End of the revolution on the link's clock [s]."""
 
@@ -148,7 +148,7 @@ def count_trail_rows(duration: float, period: float) -> int:
 
 @loop
 def begin_trail(trail: Floats, time: float, pose: tuple[float, float, float], dt: float) -> None:
-    """Fill a trail with the pose of a robot that has been at rest; its next row is 0."""
+    """Fill a trail with the pose of a robot that has been at rest. Its next row is 0."""
     slots = len(trail)
     for slot in range(slots):
         trail[slot, TIME] = time - (slots - slot) * dt
@@ -195,7 +195,7 @@ def look_back(ring: Ring, since: float, until: float, rays: Rays) -> Floats:
 
 @jit
 def place_at(poses: Floats, time: float, period: float) -> tuple[float, float, float]:
-    """Interpolate a LiDAR's relative pose at a time [s]; the nearest end of the trail outside.
+    """Interpolate a LiDAR's relative pose at a time [s]. The nearest end of the trail outside.
 
     Args:
         poses: Rows of `look_back`.
@@ -268,7 +268,7 @@ def move_measurements(
     places: Floats,
     lengths: Floats,
 ) -> None:
-    """Compute how measurements look from the present pose; a separate loop, so that it vectorizes.
+    """Compute how measurements look from the present pose. A separate loop, so that it vectorizes.
 
     Args:
         revolution: n measurements.

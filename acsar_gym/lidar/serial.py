@@ -48,13 +48,13 @@ class Packet(NamedTuple):
     """
 
     angles: Sequence[float]
-    """Clockwise from the LiDAR's zero [deg]; any number for failed measurements."""
+    """Clockwise from the LiDAR's zero [deg]. Any number for failed measurements."""
     distances: Sequence[float]
-    """[mm]; 0 for failed measurements."""
+    """[mm]. 0 for failed measurements."""
     duration: float
     """How long they took by the device's own clock, in a constant unit."""
     start: int | None = None
-    """Index of the first measurement of a new revolution; None if there is none."""
+    """Index of the first measurement of a new revolution. None if there is none."""
     gap: bool = False
     """Whether measurements are missing before these."""
     delay: float = 0.0
@@ -65,7 +65,7 @@ NO_MEASUREMENTS = Packet((), (), 0.0)
 
 
 class Driver:
-    """Commands and packets of a maker's LiDARs; the subclasses are in the folder `drivers`.
+    """Commands and packets of a maker's LiDARs. The subclasses are in the folder `drivers`.
 
     Args:
         model: One of `models`.
@@ -87,7 +87,7 @@ class Driver:
     start_proof: int = 1
     """How many measurements must follow the start of a revolution to confirm it."""
     max_unevenness: float = 60.0
-    """Largest deviation from angles that grow evenly; if it is larger, measurements are missing
+    """Largest deviation from angles that grow evenly. If it is larger, measurements are missing
     [deg]."""
     max_jump: float = math.inf
     """The same between two measurements, for packets without a checksum [deg]."""
@@ -118,7 +118,7 @@ class Driver:
             at: Index of the byte.
 
         Returns:
-            Number of bytes of the packet, and the packet; 0 and None if its end is missing; 1 and
+            Number of bytes of the packet, and the packet. 0 and None if its end is missing. 1 and
             None if no packet starts here.
         """
         if self.greeting and data.startswith(self.greeting, at):
@@ -132,12 +132,12 @@ class Driver:
         return (1, None) if packet is None else (len(candidate), packet)
 
     def decode(self, data: bytes) -> Packet | None:
-        """Decode a packet of `packet_bytes`; None if the bytes aren't a packet."""
+        """Decode a packet of `packet_bytes`. None if the bytes aren't a packet."""
         raise NotImplementedError
 
 
 class LibraryDriver(Driver):
-    """A driver of a maker whose packets a module of lds2d decodes; `models` are its classes."""
+    """A driver of a maker whose packets a module of lds2d decodes. `models` are its classes."""
 
     library: ClassVar[str]
     """Name of the module."""
@@ -154,7 +154,7 @@ class LibraryDriver(Driver):
 
 
 def load_lds2d() -> Any:
-    """Import the drivers of lds2d; MissingExtraError if it isn't installed."""
+    """Import the drivers of lds2d. MissingExtraError if it isn't installed."""
     with require_extra("a real LiDAR", "lidar"):
         return importlib.import_module("lds2d.drivers")
 
@@ -214,7 +214,7 @@ class RevolutionAssembler:
         self._marks: deque[tuple[float, float]] = deque(maxlen=2 * MAX_MEASUREMENTS)
 
     def feed(self, data: bytes, now: float) -> list[Revolution]:
-        """Take bytes that have arrived by now [s]; returns the revolutions that they complete."""
+        """Take bytes that have arrived by now [s]. Returns the revolutions that they complete."""
         if not data:
             return []
         old = len(self._buffer)
@@ -284,7 +284,7 @@ class RevolutionAssembler:
 
 
 def make_revolution(rows: Rows, driver: Driver, marks: Marks, yaw: float) -> Revolution | None:
-    """Return the revolution of measurements; None if some of a full turn are missing.
+    """Return the revolution of measurements. None if some of a full turn are missing.
 
     Devices give no angle, or a wrong one, for a failed measurement. It is interpolated.
     """
@@ -478,7 +478,7 @@ class SerialLidar:
             self.close()
 
     def __reduce__(self) -> tuple[type[SerialLidar], tuple[Any, ...]]:
-        """Copies and pickles are closed LiDARs on the same device; a port can't be shared."""
+        """Copies and pickles are closed LiDARs on the same device. A port can't be shared."""
         return SerialLidar, (self.device, self._make_driver, self._config, self._now)
 
 
@@ -487,8 +487,8 @@ class _Reader(threading.Thread):
 
     Attributes:
         port: Open port.
-        newest: The newest revolution; None before the first.
-        error: Why the thread ended on its own; None while it runs.
+        newest: The newest revolution. None before the first.
+        error: Why the thread ended on its own. None while it runs.
     """
 
     def __init__(

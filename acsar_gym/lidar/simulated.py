@@ -46,13 +46,13 @@ from acsar_gym.worlds.movers import RADIUS, REACTS, SPEED, goes_straight, locate
 
 OLDEST_SIMULATED = 20.0  # age of a measurement: two turns at the slowest randomized rate [s]
 EDGE_STEP = 0.3  # neighbours whose distances differ by more are at an edge [m]
-SAMPLE_STRIDE = 2**14  # more measurements than a revolution can have; numbers random numbers
+SAMPLE_STRIDE = 2**14  # more measurements than a revolution can have: numbers random numbers
 RADIUS_SAMPLE, ANGLE_SAMPLE, DROPOUT_SAMPLE, OUTLIER_SAMPLE, MIX_SAMPLE = range(5)
 SAMPLE_KINDS = 8
 
 
 class Beams(NamedTuple):
-    """Numbers of each ray of a LiDAR; the first three are those of a Revolution."""
+    """Numbers of each ray of a LiDAR. The first three are those of a Revolution."""
 
     bearings: Floats
     """(rays,) [rad]."""
@@ -72,7 +72,7 @@ def make_beams(rays: int) -> Beams:
 
 
 class LidarTraits(NamedTuple):
-    """The LiDAR of an episode; see `physics.Physics` for its rate and errors."""
+    """The LiDAR of an episode. See `physics.Physics` for its rate and errors."""
 
     scan_rate: float
     noise: float
@@ -110,7 +110,7 @@ def see_nobody() -> Passers:
 
 @subroutine
 def begin_passing(passers: Passers, trail: Floats) -> None:
-    """Fill the places at the first row of a trail; before it, people walked as they do now."""
+    """Fill the places at the first row of a trail. Before it, people walked as they do now."""
     states = passers.states
     places = passers.places
     for row in range(len(places)):
@@ -246,7 +246,7 @@ def find_reach(beams: Beams, now: float) -> tuple[float, float]:
 
 @jit
 def meet_disc(outside: float, along: float) -> float:
-    """Return where a beam meets a disc [m]; infinity if it doesn't.
+    """Return where a beam meets a disc [m]. Infinity if it doesn't.
 
     Args:
         outside: Square of the distance to the centre, less the square of the radius [m^2].
@@ -354,7 +354,7 @@ def add_errors(distances: Floats, number: float, traits: LidarTraits, rays: Rays
         true = distances[k]
         sample = base + k * SAMPLE_KINDS
 
-        # Noise; a pair of uniform numbers gives two normal ones (Box and Muller, 1958).
+        # Noise. A pair of uniform numbers gives two normal ones (Box and Muller, 1958).
         error = traits.bias
         if traits.noise > 0.0:
             if k % 2 == 0:
@@ -410,7 +410,7 @@ class SimulatedLidar:
         self._rays = make_rays(config)
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Take over the scene's obstacles and physics; draw the phase and the key of the errors."""
+        """Take over the scene's obstacles and physics. Draw the phase and the key of the errors."""
         config = self._config
         self._around = make_surroundings(scene.world, ray_spec(config), config)
 

@@ -28,7 +28,7 @@ class RecordedScans(Protocol):
     """The LiDAR of a recording."""
 
     def revolution(self) -> tuple[float, NDArray[np.float64]] | None:
-        """Return the newest revolution; None if there is none.
+        """Return the newest revolution. None if there is none.
 
         Returns:
             Its end [s], and bearings [rad], distances [m] and times [s], of shape (3, n).
@@ -45,12 +45,12 @@ class Link:
 
     Attributes:
         is_real: Whether its wheels can hurt people. A replay of a real drive isn't real.
-        device: Name of the device, or the URL; empty if the link has none.
+        device: Name of the device, or the URL. Empty if the link has none.
         stamped: Whether `arrivals` are lines, each with the time at which the robot measured it.
             Odometry then integrates each line up to its own time, as the robot's driver does.
-        lateness: Time from the newest period's deadline to its end [s]; None if time is simulated.
+        lateness: Time from the newest period's deadline to its end [s]. None if time is simulated.
         metered: Set it to True to measure `work`, which takes time in every period.
-        work: Mechanical work of the motors since the reset [J]; NaN if the link can't measure it.
+        work: Mechanical work of the motors since the reset [J]. NaN if the link can't measure it.
 
     Example:
         A robot that never moves:
@@ -82,7 +82,7 @@ class Link:
 
     @property
     def truth(self) -> GroundTruth | None:
-        """Ground truth of a simulation; None on hardware. Never part of an observation."""
+        """Ground truth of a simulation. None on hardware. Never part of an observation."""
         return None
 
     @property
@@ -96,34 +96,34 @@ class Link:
 
     @property
     def camera(self) -> Camera | None:
-        """Draws pictures of a simulation; None if the link has no camera."""
+        """Draws pictures of a simulation. None if the link has no camera."""
         return None
 
     @property
     def scans(self) -> RecordedScans | None:
-        """The LiDAR of a recording; None for any other link."""
+        """The LiDAR of a recording. None for any other link."""
         return None
 
     @property
     def ros(self) -> Ros2Link | None:
-        """The link to ROS 2 that this link is, or wraps; None without ROS."""
+        """The link to ROS 2 that this link is, or wraps. None without ROS."""
         return None
 
     @property
     def commands_sides(self) -> bool:
-        """Whether the robot takes only one speed for each of its sides; known while open."""
+        """Whether the robot takes only one speed for each of its sides. Known while open."""
         return False
 
     @property
     def unwatched(self) -> str:
-        """Why no watchdog watches the open link; empty if one does, or none is needed."""
+        """Why no watchdog watches the open link. Empty if one does, or none is needed."""
         return ""
 
     def open(self) -> None:
         """Connect, so that commands can be sent on return. Idempotent.
 
         Raises:
-            LinkError: The connection failed; nothing stays open.
+            LinkError: The connection failed. Nothing stays open.
         """
         raise NotImplementedError
 
@@ -131,7 +131,7 @@ class Link:
         """Start an episode with the robot at rest.
 
         Args:
-            scene: Start, goal, world and physics; only simulated links use it.
+            scene: Start, goal, world and physics. Only simulated links use it.
         """
         raise NotImplementedError
 
@@ -196,7 +196,7 @@ class LinkWrapper(Link):
         self.inner.write(data)
 
     def advance(self, period: float) -> bytes:
-        """Let a period pass [s]; returns the bytes that arrived during it."""
+        """Let a period pass [s]. Returns the bytes that arrived during it."""
         return self.inner.advance(period)
 
     def now(self) -> float:

@@ -60,7 +60,7 @@ class Faults(Section):
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
-        """Return the Faults that users mean by `faults=`; ConfigError if it can't be read."""
+        """Return the Faults that users mean by `faults=`. ConfigError if it can't be read."""
         if isinstance(faults, Faults):
             return faults
         if faults is not None and not isinstance(faults, Mapping):

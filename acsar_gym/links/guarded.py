@@ -19,7 +19,7 @@ from acsar_gym.guard.watchdog import CHILD_TIMEOUT, Watchdog
 from acsar_gym.links.base import Link
 from acsar_gym.worlds import Scene
 
-LOCK_TIMEOUT = 1.0  # longest wait for another thread's write [s]; a socket's takes at most 0.2 s
+LOCK_TIMEOUT = 1.0  # longest wait for another thread's write [s]. A socket's takes at most 0.2 s
 
 
 class GuardedLink(Link):
@@ -62,7 +62,7 @@ class GuardedLink(Link):
         raise NotImplementedError
 
     def _connect(self) -> None:
-        """Open the device; LinkError if that fails, and then `_disconnect` is called."""
+        """Open the device. LinkError if that fails, and then `_disconnect` is called."""
         raise NotImplementedError
 
     def _start_watchdog(self) -> None:
@@ -70,7 +70,7 @@ class GuardedLink(Link):
         raise NotImplementedError
 
     def _wait_for_feedback(self) -> None:
-        """Wait until the robot answers; LinkError if it doesn't."""
+        """Wait until the robot answers. LinkError if it doesn't."""
         raise NotImplementedError
 
     def _prepare(self, scene: Scene) -> None:
@@ -85,15 +85,15 @@ class GuardedLink(Link):
         raise NotImplementedError
 
     def _send(self, data: bytes) -> None:
-        """Send command lines; LinkLostError if the device is gone."""
+        """Send command lines. LinkLostError if the device is gone."""
         raise NotImplementedError
 
     def _send_stop(self) -> bool:
-        """Send zeros without raising an exception; returns whether the device accepted them."""
+        """Send zeros without raising an exception. Returns whether the device accepted them."""
         raise NotImplementedError
 
     def _drain(self) -> bool:
-        """Wait a moment until what was sent has left; returns whether it has."""
+        """Wait a moment until what was sent has left. Returns whether it has."""
         raise NotImplementedError
 
     def _disconnect(self, *, lost: bool) -> None:
@@ -108,7 +108,7 @@ class GuardedLink(Link):
 
     @property
     def unwatched(self) -> str:
-        """Why no watchdog watches the open link; empty if one does."""
+        """Why no watchdog watches the open link. Empty if one does."""
         if self._config.watchdog_timeout is None:
             return "watchdog_timeout: null"
         return "" if self.watchdog.is_started else "not on this system, or not for this port"
@@ -169,7 +169,7 @@ class GuardedLink(Link):
             self.watchdog.wait_ready(self.watchdog_start)
 
     def write(self, data: bytes) -> None:
-        """Send command lines; zero commands are always sent.
+        """Send command lines. Zero commands are always sent.
 
         Raises:
             LinkError: Wheels would turn, but the watchdog stopped the robot or doesn't run, or
@@ -228,7 +228,7 @@ class GuardedLink(Link):
 
     @contextlib.contextmanager
     def _exclusively(self) -> Iterator[None]:
-        """Lock out other threads; if a thread is writing now, send zeros without waiting for it."""
+        """Lock out other threads. If a thread is writing now, send zeros without waiting for it."""
         is_mine = self._lock.acquire(blocking=False)
         if not is_mine:
             self._send_stop()

@@ -19,7 +19,7 @@ MAX_TRIPS = 1000  # round trips of an episode that are kept
 
 @dataclass(frozen=True, slots=True)
 class TickTiming:
-    """Lateness of the ticks of an episode [s]; NaN if there were none."""
+    """Lateness of the ticks of an episode [s]. NaN if there were none."""
 
     ticks: int
     late_ticks: int
@@ -32,7 +32,7 @@ class TickTiming:
 
     @property
     def late_share(self) -> float:
-        """Share of late ticks; 0 if there were no ticks."""
+        """Share of late ticks. 0 if there were no ticks."""
         return self.late_ticks / self.ticks if self.ticks else 0.0
 
 
@@ -42,7 +42,7 @@ class EpisodeTiming:
 
     lateness: TickTiming
     worst_feedback_age: float
-    """Largest age of the newest valid line at the end of a tick [s]; NaN if there were none."""
+    """Largest age of the newest valid line at the end of a tick [s]. NaN if there were none."""
     round_trips: tuple[float, ...] = ()
     """Times from the last byte of a command to wheels at rest until the first byte of the first
     line that shows an effect [s], the newest `MAX_TRIPS`. Up to a tick longer if the link doesn't
@@ -68,7 +68,7 @@ class EpisodeStopwatch:
         """Add a tick: its lateness and its feedback's age [s].
 
         Returns:
-            The lateness; None for the first tick, whose deadline is the reset's.
+            The lateness. None for the first tick, whose deadline is the reset's.
         """
         if not self._has_started:
             self._has_started = True
@@ -104,7 +104,7 @@ class EpisodeStopwatch:
         return self._trip_start is not None
 
     def heard(self, arrivals: Sequence[tuple[float, bytes]], end: float) -> None:
-        """End the round trip if the wheels turn by now; `end` is that of the period [s]."""
+        """End the round trip if the wheels turn by now. `end` is that of the period [s]."""
         if self._trip_start is not None and self._fastest > self._visible_speed:
             self._trips.append(first_byte(arrivals, end) - self._trip_start)
             self._trip_start = None
@@ -142,5 +142,5 @@ def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:
 
 
 def _after_last_line(data: bytes) -> int:
-    """Index of the byte after the last line end; 0 if there is no line end."""
+    """Index of the byte after the last line end. 0 if there is no line end."""
     return max(data.rfind(b"\n"), data.rfind(b"\r")) + 1

@@ -38,7 +38,7 @@ WRITE_PAUSES = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.0)
 """Pauses between attempts to write while another process, such as the watchdog, writes [s]."""
 BUSY_TIMEOUT = 0.7  # the watchdog of a killed program keeps its port for less than this [s]
 OPEN_PAUSE = 0.02  # first pause between attempts to open a port [s]
-MAX_OPEN_PAUSE = 0.1  # longest pause; each is twice the one before [s]
+MAX_OPEN_PAUSE = 0.1  # longest pause. Each is twice the one before [s]
 READ_CHUNK = 4096  # bytes read from the port by one call
 MAX_READ_CHUNKS = 256  # chunks per read: enough for a driver's buffer, but no endless stream
 DRAIN_TIMEOUT = 0.05  # longest wait for sent bytes to leave the port when it is closed [s]
@@ -51,7 +51,7 @@ class PortInfo:
     device: str
     description: str
     serial_number: str | None = None
-    """Serial number of its USB adapter; None if it has none."""
+    """Serial number of its USB adapter. None if it has none."""
 
 
 def find_ports() -> list[PortInfo]:
@@ -155,7 +155,7 @@ class PortLocation:
 
 
 def open_port(device: str, baud_rate: int) -> Any:
-    """Open pyserial's port exclusively, with non-blocking reads; LinkError if it can't be."""
+    """Open pyserial's port exclusively, with non-blocking reads. LinkError if it can't be."""
     options: dict[str, Any] = {
         "baudrate": baud_rate,
         "bytesize": serial.EIGHTBITS,
@@ -229,7 +229,7 @@ def _opening_error(device: str, error: Exception) -> LinkError:
 
 
 def write_all(port: Any, data: bytes) -> None:
-    """Send bytes without blocking, unlike pyserial's `write`; raises one of PORT_ERRORS."""
+    """Send bytes without blocking, unlike pyserial's `write`. Raises one of PORT_ERRORS."""
     descriptor = getattr(port, "fd", None)
     if descriptor is None:  # a socket, or Windows
         port.write(data)
@@ -282,7 +282,7 @@ class OpenPort:
             write_all(self._port, data)
 
     def try_write(self, data: bytes) -> bool:
-        """Send bytes; returns whether the port accepted them."""
+        """Send bytes. Returns whether the port accepted them."""
         with contextlib.suppress(*PORT_ERRORS):
             write_all(self._port, data)
             return True
@@ -300,7 +300,7 @@ class OpenPort:
         return data
 
     def wait_for_bytes(self, seconds: float) -> bool:
-        """Wait for bytes [s]; returns whether some arrived, or the device is gone."""
+        """Wait for bytes [s]. Returns whether some arrived, or the device is gone."""
         try:
             return bool(select.select([self._port], [], [], seconds)[0])
         except PORT_ERRORS:
@@ -318,7 +318,7 @@ class OpenPort:
             self._port.reset_output_buffer()
 
     def set_baud_rate(self, rate: int) -> None:
-        """Change the baud rate [bit/s]; LinkError if the port can't have it."""
+        """Change the baud rate [bit/s]. LinkError if the port can't have it."""
         with self._translating_errors():
             try:
                 self._port.baudrate = rate
@@ -328,19 +328,19 @@ class OpenPort:
                 ) from error
 
     def set_dtr(self, *, on: bool) -> None:
-        """Set the line DTR; a port without this line, such as a pseudo-terminal, ignores it."""
+        """Set the line DTR. A port without this line, such as a pseudo-terminal, ignores it."""
         with contextlib.suppress(*PORT_ERRORS):
             self._port.dtr = on
 
     def fileno(self) -> int | None:
-        """Return the file descriptor; None if it can't be shared, as on Windows."""
+        """Return the file descriptor. None if it can't be shared, as on Windows."""
         try:
             return int(self._port.fileno())
         except OSError:
             return None
 
     def drain(self) -> bool:
-        """Wait up to `DRAIN_TIMEOUT`; returns whether all bytes have been sent.
+        """Wait up to `DRAIN_TIMEOUT`. Returns whether all bytes have been sent.
 
         Bytes that haven't been sent are discarded, as they would delay the closing of the port.
         """

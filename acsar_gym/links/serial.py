@@ -28,7 +28,7 @@ class SerialLink(GuardedLink):
     Args:
         device: Path, URL, or USB serial number such as "usb:A50285BI".
         config: Robot configuration.
-        zeros: Zero commands in all formats that the board may take; None for the config's format.
+        zeros: Zero commands in all formats that the board may take. None for the config's format.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class SerialLink(GuardedLink):
 
     @property
     def port(self) -> OpenPort:
-        """The open port; LinkLostError if it is closed."""
+        """The open port. LinkLostError if it is closed."""
         if self._port is None:
             raise self._closed_error()
         return self._port
@@ -106,7 +106,7 @@ class SerialLink(GuardedLink):
         port.close()
 
     def advance(self, period: float) -> bytes:
-        """Sleep until the absolute deadline of the period [s]; return what has arrived.
+        """Sleep until the absolute deadline of the period [s]. Return what has arrived.
 
         After a delay of more than a period, the deadlines restart from now.
         """
@@ -163,5 +163,5 @@ class SerialLink(GuardedLink):
         return time.monotonic()
 
     def __reduce__(self) -> tuple[type[SerialLink], tuple[object, ...]]:
-        """Copy and pickle as a closed link to the same device; a port can't be shared."""
+        """Copy and pickle as a closed link to the same device. A port can't be shared."""
         return type(self), (self.device, self._config, self._zeros)

@@ -20,10 +20,10 @@ emulated board is advanced by shorter ones."""
 
 
 class SimulatedLink(Link):
-    """Runs firmware and physics as fast as possible; its clock is 0 at every reset.
+    """Runs firmware and physics as fast as possible. Its clock is 0 at every reset.
 
     Attributes:
-        body: The physics; None while the link is closed.
+        body: The physics. None while the link is closed.
     """
 
     def __init__(self, config: RobotConfig, make_body: Callable[[], Body]) -> None:
@@ -57,13 +57,13 @@ class SimulatedLink(Link):
         self.work = 0.0
 
     def write(self, data: bytes) -> None:
-        """Send bytes over the simulated UART; LinkLostError if the link is closed."""
+        """Send bytes over the simulated UART. LinkLostError if the link is closed."""
         if self._firmware is None:
             raise _closed_error()
         self._firmware.receive(data)
 
     def advance(self, period: float) -> bytes:
-        """Simulate one period [s]; returns the bytes that arrived during it."""
+        """Simulate one period [s]. Returns the bytes that arrived during it."""
         body = self.body
         if body is None or self._firmware is None:
             raise _closed_error()
@@ -95,7 +95,7 @@ class SimulatedLink(Link):
 
     @property
     def truth(self) -> GroundTruth:
-        """State of the body and the movers; the origin before the link is opened."""
+        """State of the body and the movers. The origin before the link is opened."""
         truth = self.body.truth if self.body else GroundTruth()
         crowd = self._crowd
         if crowd is None:
@@ -104,7 +104,7 @@ class SimulatedLink(Link):
 
     @property
     def camera(self) -> Camera | None:
-        """Camera of the body; None if it has none, or the link is closed."""
+        """Camera of the body. None if it has none, or the link is closed."""
         return self.body if isinstance(self.body, Camera) else None
 
     def __reduce__(self) -> tuple[type[SimulatedLink], tuple[RobotConfig, Callable[[], Body]]]:
@@ -146,7 +146,7 @@ class PacedLink(LinkWrapper):
         self._deadline = time.monotonic()
 
     def advance(self, period: float) -> bytes:
-        """Advance the link, then wait for the deadline; missed deadlines are skipped."""
+        """Advance the link, then wait for the deadline. Missed deadlines are skipped."""
         data = super().advance(period)
         real_period = period / self._speed
         self._deadline = max(self._deadline + real_period, time.monotonic() - real_period)

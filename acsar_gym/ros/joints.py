@@ -147,7 +147,7 @@ class JointReader:
     def _select(
         self, field: str, values: Sequence[float], names: Sequence[str]
     ) -> tuple[float, ...] | None:
-        """Return the values of the wheels; None if there are none, or all are NaN."""
+        """Return the values of the wheels. None if there are none, or all are NaN."""
         if len(values) not in (0, len(names)):
             raise _RefusedError(
                 "wrong length", f"has {len(names)} names and {len(values)} values of {field}"

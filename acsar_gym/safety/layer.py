@@ -45,7 +45,7 @@ class Safety:
         self.allowed(0.0, 0.0, pose=(0.0, 0.0, 0.0), feedback_age=0.0)
 
     def fence(self, area: Geofence | None) -> None:
-        """Replace the geofence, before an episode; None for no limit."""
+        """Replace the geofence, before an episode. None for no limit."""
         fence = area or Geofence()
         self._rules = self._rules._replace(**fence.model_dump())
         self._numbers = record_of(self._rules)
@@ -66,7 +66,7 @@ class Safety:
             elapsed: Time since the start [s], for the message.
 
         Raises:
-            LinkError: The robot is held; the message contains the reason.
+            LinkError: The robot is held. The message contains the reason.
         """
         if self.stopped:
             cause, fix = rules.HELD_REASONS[Reason(int(self._memory["latched"][0]))]
@@ -83,7 +83,7 @@ class Safety:
         return Reason(int(self._memory["reason"][0]))
 
     def halt(self, reason: Reason) -> Speeds:
-        """Set the wheels to zero at once; acceleration limits don't apply to stops.
+        """Set the wheels to zero at once. Acceleration limits don't apply to stops.
 
         Returns:
             Four wheel speeds of zero.
@@ -107,7 +107,7 @@ class Safety:
             feedback_age: Age of the feedback [s].
 
         Returns:
-            Four wheel speeds [rad/s]; the same tuple object while they don't change.
+            Four wheel speeds [rad/s]. The same tuple object while they don't change.
 
         Raises:
             CommandError: The twist isn't finite.

@@ -30,11 +30,11 @@ class Reason(IntEnum):
     LIMITS = 1
     """A limit of speed, acceleration or jerk, or the wheels' top speed."""
     GEOFENCE = 2
-    """The robot has left the geofence by odometry; holds until the next reset."""
+    """The robot has left the geofence by odometry. Holds until the next reset."""
     STALE_FEEDBACK = 3
-    """The feedback is too old; holds until a new line arrives."""
+    """The feedback is too old. Holds until a new line arrives."""
     EMERGENCY_STOP = 4
-    """An emergency stop; holds until it is released and the robot is reset."""
+    """An emergency stop. Holds until it is released and the robot is reset."""
 
 
 # Reasons as floats, for compiled functions.
@@ -73,7 +73,7 @@ def read_limits(config: SpeedLimits, top: float = NO_LIMIT) -> AxisLimits:
     """Convert the configured limits of an axis to numbers.
 
     Args:
-        config: Limits; None is no limit.
+        config: Limits. None is no limit.
         top: Largest speed in both directions.
     """
     low, high = _read_pair(config.min_velocity, config.max_velocity)
@@ -99,7 +99,7 @@ def read_limits(config: SpeedLimits, top: float = NO_LIMIT) -> AxisLimits:
 
 
 def _read_pair(low: float | None, high: float | None) -> tuple[float, float]:
-    """Return both limits of a quantity; the lower limit is the negative upper one by default."""
+    """Return both limits of a quantity. The lower limit is the negative upper one by default."""
     high = NO_LIMIT if high is None else high
     return -high if low is None else low, high
 
@@ -120,7 +120,7 @@ class SafetyRules(NamedTuple):
     linear: AxisLimits
     angular: AxisLimits
     min_x: float
-    """Bounds of the geofence [m]; infinite without a geofence."""
+    """Bounds of the geofence [m]. Infinite without a geofence."""
     max_x: float
     min_y: float
     max_y: float
@@ -158,12 +158,12 @@ def make_rules(config: RobotConfig) -> SafetyRules:
 
 
 class SafetyMemory(NamedTuple):
-    """What the rules remember of a robot from tick to tick; all zeros after a reset."""
+    """What the rules remember of a robot from tick to tick. All zeros after a reset."""
 
     latched: float = 0.0
-    """The `Reason` that holds the robot until the reset; 0 for none."""
+    """The `Reason` that holds the robot until the reset. 0 for none."""
     reason: float = 0.0
-    """The `Reason` of this tick; 0 for none."""
+    """The `Reason` of this tick. 0 for none."""
     linear: float = 0.0
     """Velocity of the newest twist [m/s]."""
     angular: float = 0.0
@@ -173,9 +173,9 @@ class SafetyMemory(NamedTuple):
     past_angular: float = 0.0
     """Turn rate of the twist before it [rad/s]."""
     sent_linear: float = 0.0
-    """Velocity of the wheel speeds that were sent [m/s]; only for a single robot."""
+    """Velocity of the wheel speeds that were sent [m/s]. Only for a single robot."""
     sent_angular: float = 0.0
-    """Turn rate of the wheel speeds that were sent [rad/s]; only for a single robot."""
+    """Turn rate of the wheel speeds that were sent [rad/s]. Only for a single robot."""
 
 
 @jit
@@ -192,7 +192,7 @@ def find_holds(
         rules: Rules of the robot.
 
     Returns:
-        The reason that holds until the reset, and the reason of this tick; 0 for none.
+        The reason that holds until the reset, and the reason of this tick. 0 for none.
     """
     inside = (rules.min_x <= x) & (x <= rules.max_x) & (rules.min_y <= y) & (y <= rules.max_y)
     latched = memory.latched if inside or memory.latched > 0.0 else _GEOFENCE
@@ -288,7 +288,7 @@ def explain_sent(
         angular: Commanded turn rate [rad/s].
         right: Sent speed of the right wheels [rad/s].
         left: Sent speed of the left wheels [rad/s].
-        reason: Reason that holds the robot; 0 for none.
+        reason: Reason that holds the robot. 0 for none.
         rules: Rules of the robot.
 
     Returns:
@@ -312,7 +312,7 @@ def is_silent(age: float, rules: SafetyRules) -> bool:
 def update_twist(
     linear: float, angular: float, x: float, y: float, age: float, memory: Any, rules: Any
 ) -> tuple[float, float]:
-    """Update the memory of a single robot by `limit_twist`; records as in `jit.record_of`.
+    """Update the memory of a single robot by `limit_twist`. Records as in `jit.record_of`.
 
     Returns:
         Speeds of the right and the left wheels [rad/s].

@@ -137,7 +137,7 @@ class WheelCheck:
         self._highest = np.maximum(self._highest, speeds)
 
     def _compare(self, speeds: Numbers, passed: float) -> None:
-        """Compare a line with the commands; `passed` is the time since the last line [s]."""
+        """Compare a line with the commands. `passed` is the time since the last line [s]."""
         lag = self._lag + passed  # a board may send the mean speed since the last line
         at_rest = self._find_at_rest(speeds[WHEEL], passed, lag)
         is_outside = self._find_outside(speeds[WHEEL]) & any(self._sent)
@@ -205,7 +205,7 @@ class WheelCheck:
         return is_crossed
 
     def _add(self, speeds: Numbers, is_wrong: Mask, at_rest: Mask, passed: float) -> None:
-        """Add a line to the contradictions; a channel that approaches its command starts again."""
+        """Add a line to the contradictions. A channel that approaches its command starts again."""
         gap = self._expected - self._first
         approach = np.sign(gap) * (speeds - self._first)
         limit = APPROACH_SHARE * np.abs(gap)

@@ -37,7 +37,7 @@ class LdrobotDriver(LibraryDriver):
         self._angle: float | None = None
 
     def start(self, port: OpenPort) -> None:
-        """Set the baud rate; start the motor of an LD14P."""
+        """Set the baud rate, and start the motor of an LD14P."""
         super().start(port)
         if self._has_commands:
             self._kind(port).start()

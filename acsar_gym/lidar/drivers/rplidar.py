@@ -60,7 +60,7 @@ def encode_request(command: int, payload: bytes) -> bytes:
 
 
 class RplidarDriver(Driver):
-    """An RPLIDAR; "rplidar" finds its baud rate."""
+    """An RPLIDAR. "rplidar" finds its baud rate."""
 
     models: ClassVar[Mapping[str, str]] = {
         "rplidar": "115200 460800 256000 1000000",
@@ -127,7 +127,7 @@ class RplidarDriver(Driver):
         port.write(encode_request(self.motor_command, struct.pack("<H", speed)))
 
     def stop(self, port: OpenPort) -> None:
-        """Stop the scan; stop the motor by command and by DTR, which stays asserted."""
+        """Stop the scan. Stop the motor by command and by DTR, which stays asserted."""
         try:
             port.write(self._library.build_stop_command())
             self._set_motor(port, 0)
@@ -136,7 +136,7 @@ class RplidarDriver(Driver):
             keep_dtr(port)
 
     def _ask(self, port: OpenPort, request: bytes, descriptor: bytes) -> bytes:
-        """Send a request; returns the payload after the descriptor, or nothing without answer."""
+        """Send a request. Returns the payload after the descriptor, or nothing without answer."""
         port.write(request)
         answer = b""
         size = descriptor[2]
@@ -160,7 +160,7 @@ class RplidarDriver(Driver):
 
 
 class DenseRplidarDriver(RplidarDriver):
-    """An RPLIDAR that recommends its dense mode; otherwise the standard mode is used.
+    """An RPLIDAR that recommends its dense mode. Otherwise the standard mode is used.
 
     A capsule has its first angle and 40 distances. Its other angles lie evenly before the first
     angle of the next capsule, so its measurements are known when that has arrived.
@@ -202,7 +202,7 @@ class DenseRplidarDriver(RplidarDriver):
             super()._start_scan(port)
 
     def _ask_config(self, port: OpenPort, question: bytes, size: int) -> bytes:
-        """Ask for a setting of this size; empty without answer, as from old firmware."""
+        """Ask for a setting of this size. Empty without answer, as from old firmware."""
         descriptor = b"\xa5\x5a" + struct.pack("<IB", 4 + size, CONFIG_DESCRIPTOR_TYPE)
         return self._ask(port, encode_request(GET_CONFIG, question), descriptor)[4:]
 

@@ -18,7 +18,7 @@ MAX_JUMP = 3.0  # larger angles between two packets lack measurements [deg]
 
 
 class YdlidarDriver(LibraryDriver):
-    """A LiDAR of YDLIDAR; "ydlidar" is an X4."""
+    """A LiDAR of YDLIDAR. "ydlidar" is an X4."""
 
     library = "ydlidar"
     models: ClassVar[Mapping[str, str]] = {
@@ -48,7 +48,7 @@ class YdlidarDriver(LibraryDriver):
         self._step = 0.0
 
     def start(self, port: OpenPort) -> None:
-        """Set the baud rate; start motor and scan."""
+        """Set the baud rate, and start motor and scan."""
         super().start(port)
         port.set_dtr(on=True)
         self._kind(port).start()

@@ -35,7 +35,7 @@ from acsar_gym.worlds.geometry import measure_ranges
 Floats = NDArray[np.float64]
 LONGEST_CATCH_UP = 0.5
 """The emulator catches up with a delay by the operating system, unless it is longer than this [s].
-Drivers give up after 0.5 s without feedback by default; until then they assume that the robot goes
+Drivers give up after 0.5 s without feedback by default. Until then they assume that the robot goes
 on."""
 WARM_UP_TIME = 0.05
 """Simulated time before a client can connect [s]."""
@@ -54,19 +54,19 @@ class Emulator:
         config: Robot configuration.
         body: Name of a simulated link, such as "planar".
         log: File for one JSON line per received chunk, per loop the true pose (world frame) and,
-            if the robot touches a mover, who hit whom (see `worlds.crowd`), and lost time; None
+            if the robot touches a mover, who hit whom (see `worlds.crowd`), and lost time. None
             for no log.
         silent: Never answer.
-        scene: Where the robot stands; None for the origin of an open floor. Among movers the
+        scene: Where the robot stands. None for the origin of an open floor. Among movers the
             episode starts with the first bytes that a client sends.
         sees: Also emulate an RPLIDAR, at `lidar_device`.
-        name: Symbolic link that always points to the current device; None for no link.
+        name: Symbolic link that always points to the current device. None for no link.
 
     Attributes:
         plugged: Set it to False and True, at any time and also in signal handlers, to pull the
             cable and to plug it in again under a new device name.
         lost: Time that wasn't simulated, because the process was delayed for too long [s].
-        lidar_device: Path of the LiDAR; None without a LiDAR.
+        lidar_device: Path of the LiDAR. None without a LiDAR.
 
     Raises:
         ConfigError: The body is unknown, or `name` can't be created.
@@ -118,7 +118,7 @@ class Emulator:
 
     @property
     def device(self) -> str:
-        """Path that a SerialLink opens; empty while the cable is unplugged."""
+        """Path that a SerialLink opens. Empty while the cable is unplugged."""
         return self._cable.device
 
     def _start_episode(self) -> None:
@@ -162,7 +162,7 @@ class Emulator:
         """Run the emulator with absolute deadlines. After a long delay they restart from now.
 
         Args:
-            duration: Time to run [s]; None for no limit.
+            duration: Time to run [s]. None for no limit.
             until: Called in every loop. Ends the run by returning True.
         """
         start = time.monotonic()

@@ -29,10 +29,10 @@ class EmulatedCable:
     Args:
         baud_rate: Baud rate of the emulated device.
         name: Symbolic link that always points to the current device, as udev maintains it in
-            /dev/serial/by-id; None for no link.
+            /dev/serial/by-id. None for no link.
 
     Attributes:
-        device: Path of the device; empty while unplugged.
+        device: Path of the device. Empty while unplugged.
 
     Raises:
         ConfigError: The symbolic link can't be created, or is the link of another device.
@@ -90,7 +90,7 @@ class EmulatedCable:
         return bytes((byte * 7 + 0x80) & 0xFF | 0x80 for byte in data)
 
     def read(self) -> bytes:
-        """Read what the client has sent; nothing while unplugged."""
+        """Read what the client has sent. Nothing while unplugged."""
         with contextlib.suppress(BlockingIOError):
             return os.read(self._master, READ_SIZE) if self._descriptors else b""
         return b""

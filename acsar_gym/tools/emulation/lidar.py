@@ -37,7 +37,7 @@ DEVICE_INFO = bytes((0x18, 16, 1, 7)) + bytes(range(16))
 NODE_QUALITY = 15
 """Quality of every successful measurement, as an A1 reports it."""
 NODE_TYPE = np.dtype([("head", "u1"), ("angle", "<u2"), ("distance", "<u2")])
-"""Quality and start flag; angle [deg / 64] and check bit; distance [mm / 4]."""
+"""Quality and start flag. Angle [deg / 64] and check bit. Distance [mm / 4]."""
 
 
 class LidarTwin:
@@ -99,7 +99,7 @@ class LidarTwin:
 
         Args:
             degrees: Angles of the head, (N,), from its zero, in the direction in which it turns.
-            ranges: Distances (N,) [m]; 0 for a failed measurement.
+            ranges: Distances (N,) [m]. 0 for a failed measurement.
             starts: Whether each measurement is the first of a turn, (N,).
         """
         raise NotImplementedError
@@ -140,7 +140,7 @@ class LidarTwin:
         return self.encode(degrees, self.measure(degrees, ages), starts)
 
     def measure(self, degrees: Floats, ages: Floats) -> Floats:
-        """Measure ranges (N,) [m] with the head at these angles; 0 if a measurement fails."""
+        """Measure ranges (N,) [m] with the head at these angles. 0 if a measurement fails."""
         ranges = self._look(-np.radians(degrees), ages)
         return np.where((ranges > 0.0) & (ranges <= self._max_range), ranges, 0.0)
 
