@@ -115,6 +115,8 @@ class LinkError(AcsarError):
     """
 
     exit_code = 3
+    fault = 5.0
+    """The number of the class in info's `fault`, in which 0 means no fault."""
 
     def __init__(self, found: str, fix: str = "") -> None:
         super().__init__(f"{found}: {fix}" if fix else found)
@@ -129,17 +131,25 @@ class PortBusyError(LinkError):
 class BoardSilentError(LinkError):
     """The port is open, but no valid feedback line arrives."""
 
+    fault = 1.0
+
 
 class BoardGarbledError(BoardSilentError):
     """Bytes arrive, but none of them form a valid line: most likely a wrong baud rate."""
+
+    fault = 2.0
 
 
 class LinkLostError(LinkError):
     """The device disappeared while it was in use."""
 
+    fault = 3.0
+
 
 class LidarError(LinkError):
     """The LiDAR can't be opened, isn't a LiDAR, or stopped answering."""
+
+    fault = 4.0
 
 
 class WheelError(LinkError):
@@ -150,6 +160,8 @@ class WheelError(LinkError):
         fix: What to do.
         wheel: Name of the wheel, such as "front_left".
     """
+
+    fault = 6.0
 
     def __init__(self, found: str, fix: str, wheel: str) -> None:
         super().__init__(found, fix)
@@ -225,10 +237,12 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
 
         # Name the last line in the user's own file, and not a line in a library that it calls.
         frames = traceback.extract_tb(error.__traceback__)
-        users = [frame for frame in frames if not frame.filename.startswith(_PACKAGE)] or frames
-        file = users[0].filename
-        line = [frame.lineno for frame in users if frame.filename == file][-1]
-        message = f"{users[0].name}() raised {format_error(error)} ({file}:{line})"
+        users = [frame for frame in frames if not frame.filename.startswith(_PACKAGE)]
+        message = format_error(error)
+        if users:
+            file = users[0].filename
+            line = [frame.lineno for frame in users if frame.filename == file][-1]
+            message = f"{users[0].name}() raised {message} ({file}:{line})"
         raise kind(f"{source()}: {message}") from error
 
 

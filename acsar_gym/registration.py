@@ -41,8 +41,6 @@ class SceneChoice:
 
 SCENE_CHOICES: dict[str, dict[str, SceneChoice]] = {}
 """Sets of scenes of users' own tasks by id and name, for `acsar-gym benchmark`."""
-REGISTER_OPTIONS = ("task", "max_episode_steps", "reward_threshold", "scenes")
-"""What `register` itself takes, for messages."""
 
 
 def register(
@@ -52,7 +50,8 @@ def register(
     max_episode_steps: int | None = None,
     reward_threshold: float | None = None,
     scenes: Mapping[str, Mapping[str, Any]] | None = None,
-    **options: Any,
+    kwargs: Mapping[str, Any] | None = None,
+    vector_kwargs: Mapping[str, Any] | None = None,
 ) -> None:
     """Register a user's own task with Gymnasium: one id for a single env and for batches.
 
@@ -64,18 +63,31 @@ def register(
         scenes: Sets of scenes that `acsar-gym benchmark` drives, by name, as the fields of a
             `SceneChoice`, such as {"fast": {"robots": ["jackal"], "score": "laps"}}. By default
             one set, "test", in the worlds of the task.
-        **options: Defaults of the env's and the task's options, such as worlds="clutter:train".
-            Options that only a single env has (lidar, on_fault, view) don't count in a batch, and
-            options that only a batch has (autoreset_mode, threads) don't count in a single env.
+        kwargs: Defaults of the env's and the task's options, such as {"worlds": "clutter:train"}.
+            A batch leaves out options that only a single env has: lidar, on_fault, record, view.
+        vector_kwargs: Defaults of options that only a batch has: autoreset_mode, threads.
 
     Raises:
-        ConfigError: `task` isn't a class of tasks, `scenes` has other fields, or neither env nor
-            task has such an option.
+        ConfigError: `task` isn't a class of tasks, `scenes` has other fields, or a batch has no
+            such option of its own.
+
+    Example:
+        >>> import acsar_gym
+        >>> acsar_gym.register(
+        ...     "docs/Near-v0",
+        ...     task="acsar_gym.tasks:PointGoal",
+        ...     max_episode_steps=100,
+        ...     kwargs={"goal_distance": (0.5, 1.0)},
+        ... )
     """
     from acsar_gym.errors import ConfigError  # noqa: PLC0415
-    from acsar_gym.reading import import_object  # noqa: PLC0415
     from acsar_gym.tasks.factory import importable_task  # noqa: PLC0415
-    from acsar_gym.tasks.options import check_register_options, split_by_mode  # noqa: PLC0415
+    from acsar_gym.tasks.options import (  # noqa: PLC0415
+        BATCH_OPTIONS,
+        MODE_DEFAULTS,
+        SINGLE_OPTIONS,
+        check_names,
+    )
 
     choices = {}
     for name, fields in (scenes or {}).items():
@@ -84,18 +96,24 @@ def register(
             choices[name] = SceneChoice(**{**fields, "robots": robots})
         except (TypeError, AttributeError) as error:
             raise ConfigError(f"{id}: scenes {name!r}: {error}") from error
-    kind = import_object("task", task) if isinstance(task, str) else task
-    named = importable_task(kind)
-    check_register_options(id, kind, options, REGISTER_OPTIONS)
-    SCENE_CHOICES[id] = choices or {"test": SceneChoice()}
+
+    # Gymnasium passes the same arguments to both modes.
+    batch_options = dict(vector_kwargs or {})
+    check_names(f"{id}: unknown option {{}} in vector_kwargs", batch_options, BATCH_OPTIONS)
+    options = {**(kwargs or {}), "task": importable_task(task)}
+    single_options = {name: options.pop(name) for name in SINGLE_OPTIONS if name in options}
+    if single_options or batch_options:
+        options[MODE_DEFAULTS] = single_options | batch_options
+
     gymnasium.register(
         id=id,
         entry_point="acsar_gym.envs.robot_env:RobotEnv",
         vector_entry_point="acsar_gym.vector.env:RobotVectorEnv",
         max_episode_steps=max_episode_steps,
         reward_threshold=reward_threshold,
-        kwargs={"task": named, **split_by_mode(options)},
+        kwargs=options,
     )
+    SCENE_CHOICES[id] = choices or {"test": SceneChoice()}
 
 
 def register_all() -> None:

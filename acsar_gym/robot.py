@@ -6,8 +6,8 @@ import contextlib
 import gc
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Self
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,18 @@ UNWATCHED = (
 )
 
 
+class StepResult(NamedTuple):
+    """What an environment's step, or its reset, returns to a policy."""
+
+    step: int
+    """Number of the step; 0 for the reset."""
+    observation: NDArray[np.float32]
+    reward: float = math.nan
+    terminated: bool = False
+    truncated: bool = False
+    is_success: bool = False
+
+
 class DriveObserver:
     """Gets to know what a `Robot` does. A recorder is an observer.
 
@@ -57,6 +69,14 @@ class DriveObserver:
     def watch(self, link: Link, config: RobotConfig) -> Link:
         """Return the link that the robot shall use, such as a wrapper that records its bytes."""
         return link
+
+    def describe(self, info: Mapping[str, Any], **about: Any) -> None:
+        """Called by an environment before it resets the robot.
+
+        Args:
+            info: Seed, goal, start and world of the episode, ready for JSON.
+            about: What holds for all episodes: the env, its task, and names of observations.
+        """
 
     def after_reset(self, robot: Robot) -> None:
         """Called when an episode has started."""
@@ -72,6 +92,11 @@ class DriveObserver:
 
     def after_read(self, robot: Robot) -> None:
         """Called when the sensors have been read."""
+
+    def after_step(
+        self, robot: Robot, result: StepResult, action: NDArray[np.floating] | None = None
+    ) -> None:
+        """Called by an environment after a step, or after a reset, which has no action."""
 
     def after_error(self, robot: Robot, error: Exception) -> None:
         """Called when an error has deactivated the robot."""

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 
 from acsar_gym.envs.robot_env import RobotEnv
 
+POINT_GOAL = "acsar_gym/PointGoal-v0"
 IDS = {
-    "acsar_gym/PointGoal-v0": {},
+    POINT_GOAL: {},
     "acsar_gym/ObstacleGoal-v1": {"worlds": "clutter:5"},
     "acsar_gym/Barn-v1": {"worlds": "barn:5"},
     "acsar_gym/Crowd-v0": {"worlds": "crowd:5"},
@@ -18,6 +20,7 @@ IDS = {
 }
 SEEING = ["acsar_gym/ObstacleGoal-v1", "acsar_gym/Barn-v1"]
 LINKS = ["bullet", "planar"]
+Make = Callable[..., gymnasium.Env[Any, Any]]
 
 
 def make(env_id: str, link: Any = "planar", **options: Any) -> gymnasium.Env[Any, Any]:

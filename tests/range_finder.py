@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import acsar_gym
-from acsar_gym.truth import GroundTruth
+from acsar_gym.sensors import SensorInput
 from acsar_gym.worlds.geometry import measure_ranges
 
 BEARINGS = np.radians([-30.0, 0.0, 30.0])
@@ -23,16 +22,17 @@ class ThreeRays(acsar_gym.Sensor):
     noise = 0.01
     """[m]"""
 
-    def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.float64]:
+    def read(self, robots: SensorInput, out: Any) -> None:
         """Ranges / REACH, right to left."""
-        assert truth is not None
-        x, y, theta = truth.pose
-        ranges = measure_ranges((x, y), theta + BEARINGS, self.scene.world)
-        return np.clip(ranges + self.rng.normal(0.0, self.noise, 3), 0.0, REACH) / REACH
+        for i, scene in enumerate(robots.scenes):
+            x, y, theta = robots.pose[i]
+            ranges = measure_ranges((x, y), theta + BEARINGS, scene.world)
+            ranges += robots.rngs[i].normal(0.0, self.noise, 3)
+            out[i] = np.clip(ranges, 0.0, REACH) / REACH
 
-    def info(self, now: float) -> dict[str, float]:
+    def info(self, robots: SensorInput) -> dict[str, Any]:
         """When it was read."""
-        return {"three_rays_time": now}
+        return {"three_rays_time": robots.now}
 
 
 def three_rays(link: Any, config: acsar_gym.RobotConfig) -> ThreeRays:

@@ -16,7 +16,7 @@ from typing import Any
 
 import griffe
 
-from acsar_gym import envs
+from acsar_gym import RobotEnv, envs
 from acsar_gym.registration import IDS
 
 REFERENCE = Path(__file__).resolve().parents[1] / "docs" / "reference"
@@ -26,12 +26,16 @@ TABLE = re.compile(
 NAME = re.compile(r"^::: (acsar_gym\S*)$", re.M)
 IDS_HEAD = """# The ids
 
-The manuals of the registered environments: what they observe, pay and take. `help(NAME)` in Python
-prints them, too (`acsar_gym.envs.PointGoalEnv`, and so on). Every id has
-[a batch](environments.md#many-robots) with the same spaces, reward and ends.
+The manuals of the registered environments. `help(NAME)` in Python prints them
+(`acsar_gym.RobotEnv` for what all ids share, `acsar_gym.envs.PointGoalEnv` and so on for each id).
+Every id has [a batch](environments.md#many-robots) with the same spaces, reward and ends.
 
 <!-- written by make reference from the classes in acsar_gym/envs -->
+
+## All ids
 """
+NO_MANUAL = re.compile(r"\n(Attributes|Example):\n.*", re.S)
+"""The end of a docstring that belongs to the class, and not to the manual."""
 
 
 def fill(page: str, package: Any) -> str:
@@ -66,14 +70,19 @@ def load_package() -> Any:
     return griffe.load("acsar_gym", resolve_aliases=True)
 
 
+def manual_of(kind: type) -> str:
+    """The manual in a class's docstring, with headings one level lower."""
+    manual = NO_MANUAL.sub("", inspect.getdoc(kind) or "").rstrip()
+    return re.sub(r"^## ", "### ", manual, flags=re.M)
+
+
 def manuals() -> str:
     """The page of the ids."""
-    parts = [IDS_HEAD]
+    parts = [IDS_HEAD, f"\n{manual_of(RobotEnv)}\n"]
     for name, options in IDS.items():
         kind = getattr(envs, f"{name.partition('-')[0]}Env")
-        manual = re.sub(r"^## ", "### ", inspect.getdoc(kind) or "", flags=re.M)
         about = ", ".join(f"`{option}` {number:g}" for option, number in options.items())
-        parts.append(f"\n## acsar_gym/{name}\n\n{about}\n\n{manual}\n")
+        parts.append(f"\n## acsar_gym/{name}\n\n{about}\n\n{manual_of(kind)}\n")
     return "".join(parts)
 
 

@@ -12,12 +12,10 @@ import numpy as np
 import pytest
 from serial_tools import Emulated, RobotFile, StartEmulator, cli, no_leak
 
-from acsar_gym import RobotConfig, open_link
+from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LateTicksError
 from acsar_gym.guard.shutdown import install_handlers
-from acsar_gym.sensors.lidar import LidarSensor
-from acsar_gym.sensors.suite import open_lidar
-from acsar_gym.tasks.state import CROWD_INFO
+from acsar_gym.tasks.state import CrowdInfo
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius
@@ -53,13 +51,9 @@ def simulated(config: RobotConfig, pose: Pose) -> Any:
     """Ranges in the same world from a pose [m]."""
     world = Pool.of(WORLD, None, footprint_radius(config))[3]
     scene = Scene(start=pose, world=world)
-    link = open_link("planar", config)
-    link.open()
-    link.reset(scene)
-    sensor = LidarSensor(open_lidar(None, link, config), config)
-    sensor.reset(scene, np.random.default_rng(0))
-    sensor.poll(link.truth, link.now())
-    return sensor.scan.ranges
+    with Robot(open_link("planar", config), config, ["lidar"]) as robot:
+        robot.reset(scene, np.random.default_rng(0))
+        return robot.read() * config.lidar.max_range
 
 
 def assert_seen(observation: Any, config: RobotConfig, pose: Pose) -> None:
@@ -116,7 +110,7 @@ def test_movers_are_on_hardware_what_they_are_in_a_room(
         ranges.append(observation[-config.lidar.rays :] * config.lidar.max_range)
         observation, *_, info = env.step(STILL)
     env.close()
-    assert all(np.isnan(info[key]) for key in CROWD_INFO)
+    assert all(np.isnan(info[key]) for key in CrowdInfo._fields)
     assert np.ptp(ranges, axis=0).max() > 1.0
     assert np.min(ranges) < 2.0  # people are nearer than the walls
     assert not any("hit" in event for event in emulated.events())

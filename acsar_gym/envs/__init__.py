@@ -1,4 +1,4 @@
-"""The registered environments; the docstring of each class is the manual of its id."""
+"""The registered environments. The docstring of each class is the manual of its id."""
 
 from acsar_gym.envs.manuals import (
     BarnEnv,

@@ -38,7 +38,7 @@ def strip_module(env_id: str) -> str:
 
 
 def find_id(name: str) -> str:
-    """Find the full id of a registered environment; imports its module first, where one is named.
+    """Find the full id of a registered environment. Imports its module first, where one is named.
 
     Modules are also looked for in the current folder, as Python does for a script there.
     """
@@ -53,16 +53,18 @@ def find_id(name: str) -> str:
     except (Exception, SystemExit) as error:
         reason = format_error(error)
         raise ConfigError(f"env {name}: the module {module} can't be imported: {reason}") from error
+
     try:
         gymnasium.spec(strip_module(env_id))
     except gymnasium.error.Error as error:
+        hint = f"importing {module} doesn't register it: " if module else ""
+        hint += explain_error(error)
         if not module and not env_id.startswith("acsar_gym/"):
-            raise ConfigError(
-                f"env {name}: isn't registered: name the module that registers it, too, as in "
+            hint = (
+                "isn't registered: name the module that registers it, too, as in "
                 f"mine_package:{name}"
-            ) from error
-        how = f"importing {module} doesn't register it: " if module else ""
-        raise ConfigError(f"env {name}: {how}{explain_error(error)}") from error
+            )
+        raise ConfigError(f"env {name}: {hint}") from error
     return env_id
 
 

@@ -14,15 +14,24 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, show_value
+from acsar_gym.errors import (
+    ConfigError,
+    RecordingWarning,
+    check_extra,
+    explain_error,
+    show_value,
+)
 from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.links.base import Link
-from acsar_gym.recording.events import Began, Clock, Event, Exchange, Fault, Scanned, Tick
+from acsar_gym.recording.events import Began, Clock, Event, Exchange, Fault, Scanned, Stepped, Tick
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.writer import RecordingWriter, check_target, next_number
-from acsar_gym.robot import DriveObserver, Robot
+from acsar_gym.robot import DriveObserver, Robot, StepResult
 from acsar_gym.sensors.lidar import find_lidar
 
 QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
@@ -30,6 +39,7 @@ WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s]; from t
 ROOM_POLL = 0.001  # how often a simulation looks whether the writer has caught up [s]
 BLOCK_PERIOD = 0.5  # how often events are written, so that they survive a crash [s]
 BLOCK_EVENTS = 300  # most events of a block: about a second of simulated time
+LARGEST = float(np.finfo(np.float32).max)  # largest number of an action
 HANG_WAIT = 1.0  # how often the end looks whether the writer makes progress [s]
 HANG_WAITS = 10  # a writer without progress in so many looks hangs; a suspended program loses one
 
@@ -169,11 +179,13 @@ class Recorder(DriveObserver):
 
         Raises:
             ConfigError: It is anything else.
+            MissingExtraError: mcap or rosbags isn't installed.
         """
         if record is None or isinstance(record, Recorder):
             return record
         if not isinstance(record, str | os.PathLike):
             raise ConfigError(f"record = {show_value(record)}: must be the name of a file")
+        check_extra("recording", "record", "mcap", "rosbags")
         return cls(record)
 
     def watch(self, link: Link, config: RobotConfig) -> Link:
@@ -217,6 +229,24 @@ class Recorder(DriveObserver):
             self._scan_stamp = stamp
             scanned = Scanned(self.number - 1, stamp, lidar.scan.ranges, lidar.revolution)
             self.add(scanned)
+
+    def after_step(
+        self, robot: Robot, result: StepResult, action: NDArray[np.floating] | None = None
+    ) -> None:
+        """Record what a policy got, and what it did."""
+        if action is not None:
+            action = np.clip(action, -LARGEST, LARGEST).astype(np.float32)
+        step = Stepped(
+            step=result.step,
+            stamp=robot.link.now(),
+            observation=result.observation.copy(),
+            action=action,
+            reward=result.reward,
+            terminated=result.terminated,
+            truncated=result.truncated,
+            success=result.is_success,
+        )
+        self.add(step)
 
     def after_error(self, robot: Robot, error: Exception) -> None:
         """Record what stopped the robot."""

@@ -8,7 +8,7 @@ from acsar_gym.sensors.sensor import (
     Bound,
     Factory,
     Sensor,
-    Truths,
+    SensorInput,
     draw_normal,
     draw_uniform,
 )
@@ -22,8 +22,8 @@ __all__ = [
     "Factory",
     "Revolution",
     "Sensor",
+    "SensorInput",
     "Sensors",
-    "Truths",
     "draw_normal",
     "draw_uniform",
 ]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline, outline_reach
@@ -24,33 +23,36 @@ from acsar_gym.lidar.scan import (
 )
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.odometry import Odometry
-from acsar_gym.sensors.sensor import LIDAR, Sensor
+from acsar_gym.sensors.sensor import LIDAR, Floats, Sensor, SensorInput, find_sensor
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Scene
 from acsar_gym.worlds.geometry import RaySpec
 
-STALE_PERIODS = 2.0  # a scan that is older than this many periods of the LiDAR counts as stale
+STALE_PERIODS = 2.0
+"""A scan that is older than this many periods of the LiDAR counts as stale."""
 
 
 class LidarSensor(Sensor):
     """Adds a LiDAR's ranges to the observation: range / `max_range`, 0 to 1, one for each ray.
 
-    It remembers where the robot was, by its odometry, and tells what the newest revolution's
-    measurements mean for where the robot is now; see `scan.fill_scan`.
+    It remembers where the robot was, by its odometry, and computes what the newest revolution's
+    measurements mean for where the robot is now, see `scan.fill_scan`.
 
-    Attributes: `lidar`, which measures, at its own rate; `revolution`, its newest at the end of the
-    last tick; `scan`, what it means now.
+    Attributes:
+        lidar: The LiDAR, which measures at its own rate.
+        revolution: Its newest revolution at the end of the last tick.
+        scan: What that means now.
     """
 
-    name, low, high = LIDAR, 0.0, 1.0
+    name = LIDAR
+    low = 0.0
+    high = 1.0
 
     def __init__(self, lidar: Lidar, config: RobotConfig) -> None:
         self.lidar = lidar
         self.config = config
         self.size = config.lidar.rays
         self._poll_lidar: Any = getattr(lidar, "poll", None)
-        self.uses_truth = self._poll_lidar is not None
-        self._odometry = Odometry.of(config)
+        self.odometry = Odometry.of(config)
         self._rays = make_rays(config)
         self._trail = self._make_trail()
         self._now = 0.0
@@ -68,14 +70,15 @@ class LidarSensor(Sensor):
 
         An episode's simulated LiDAR may turn more slowly than the configured one.
         """
-        config, reach = self.config, self.config.lidar.timeout + 1.0 / self.config.lidar.rate
+        config = self.config
+        reach = config.lidar.timeout + 1.0 / config.lidar.rate
         if isinstance(self.lidar, SimulatedLidar | ReplayedLidar):
             reach = max(reach, self.lidar.oldest)
         return Trail(reach, config.period)
 
     @property
     def revolution(self) -> Revolution:
-        """The newest revolution at the end of the last tick. LidarError before a reset."""
+        """The newest revolution at the end of the last tick; LidarError before a reset."""
         if self._trail.newest < 0:
             raise LidarError("the LiDAR has no scan yet", "call reset() first")
         if self._revolution is None:
@@ -85,14 +88,15 @@ class LidarSensor(Sensor):
     def _measure(self) -> Revolution:
         """Take over the newest revolution.
 
-        One that isn't our own is checked when it is new, and its age always.
+        A real LiDAR's is checked when it is new, and its age always.
         """
         newest = self.lidar.scan()
         if isinstance(self.lidar, SimulatedLidar):
             return newest
+
         named = type(self.lidar).__name__
         if self._checked is None or newest is not self._checked[0]:
-            self._checked = newest, check_revolution(newest, named)
+            self._checked = (newest, check_revolution(newest, named))
         checked = self._checked[1]
         if not isinstance(self.lidar, ReplayedLidar):  # in simulation it has no time-out
             check_age(checked, self._now, named, config=self.config)
@@ -100,7 +104,7 @@ class LidarSensor(Sensor):
 
     @property
     def scan(self) -> Scan:
-        """The scan at the end of the last tick. LidarError before a reset."""
+        """The scan at the end of the last tick; LidarError before a reset."""
         revolution = self.revolution
         if self._scan is None:
             ranges = np.empty(self.size)
@@ -108,40 +112,36 @@ class LidarSensor(Sensor):
             self._scan = Scan(ranges, revolution.stamp)
         return self._scan
 
-    def follow(self, odometry: Odometry) -> None:
-        """Take over the robot's odometry."""
-        self._odometry = odometry
-
-    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode; opens a device that is closed. LidarError where that fails."""
-        self.lidar.reset(scene, rng)
+    def reset(self, robots: SensorInput) -> None:
+        """Start an episode; opens a device that is closed."""
+        self.lidar.reset(robots.scenes[0], robots.rngs[0])
         self._trail = self._make_trail()
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
         """Mark where the robot is.
 
         Raises:
-            LidarError: the newest scan is too old, or the device is gone.
+            LidarError: The newest scan is too old, or the device is gone.
         """
         self._now = now
-        self._trail.mark(now, self._odometry.pose)
+        self._trail.mark(now, self.odometry.pose)
         self._revolution = self._scan = None
         if self._poll_lidar is None:
             self._revolution = self._measure()
         else:
             self._poll_lidar(truth, now)
 
-    def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.float64]:
-        """Return range / `max_range` of each ray, (rays,)."""
-        return self.scan.ranges / self.config.lidar.max_range
+    def read(self, robots: SensorInput, out: Floats) -> None:
+        """Fill in range / `max_range` of each ray, (1, rays)."""
+        out[0] = self.scan.ranges / self.config.lidar.max_range
 
-    def info(self, now: float) -> dict[str, float]:
-        """`scan_age` [s], and `scan_stale`: 1 where the age is over two periods of the LiDAR."""
-        age = max(now - self.scan.stamp, 0.0)  # a recorded link's clock stands still at a reset
-        return {"scan_age": age, "scan_stale": float(age > stale_after(self.config))}
+    def info(self, robots: SensorInput) -> dict[str, Floats]:
+        """`scan_age` [s], and `scan_stale`: 1 if the age is over two periods of the LiDAR."""
+        age = np.maximum(robots.now - self.scan.stamp, 0.0)  # a recorded clock is still at a reset
+        return {"scan_age": age, "scan_stale": age > stale_after(self.config)}
 
     def close(self) -> None:
-        """Stop the motor and close the device; idempotent."""
+        """Stop the motor and close the device. Idempotent."""
         self.lidar.close()
 
     @property
@@ -151,28 +151,26 @@ class LidarSensor(Sensor):
         return f"{lidar.rays} ranges over {lidar.field_of_view:.4g} rad to {lidar.max_range:g} m"
 
 
-def find_lidar(sensors: Sequence[Sensor]) -> LidarSensor | None:
-    """The LiDAR among a robot's sensors; None without one."""
-    for sensor in sensors[:3]:  # map and movers may come before it
-        if isinstance(sensor, LidarSensor):
-            return sensor
-    return None
+def find_lidar(sensors: Iterable[Sensor]) -> LidarSensor | None:
+    """The LiDAR among a robot's sensors; None without a LiDAR."""
+    lidar: LidarSensor | None = find_sensor(sensors, LIDAR)
+    return lidar
 
 
-def newest_scan(sensors: Sequence[Sensor]) -> Scan | None:
+def newest_scan(sensors: Iterable[Sensor]) -> Scan | None:
     """The newest scan of the LiDAR among a robot's sensors; None without a LiDAR."""
     lidar = find_lidar(sensors)
     return None if lidar is None else lidar.scan
 
 
-def footprint_edges(config: RobotConfig) -> NDArray[np.float64]:
+def footprint_edges(config: RobotConfig) -> Floats:
     """Distance from the LiDAR to the edge of the footprint along each ray, (rays,) [m]."""
     return _edges(config.outline, ray_spec(config), config.lidar_x_offset, config.lidar_y_offset)
 
 
 @lru_cache(maxsize=16)
-def _edges(outline: Outline, rays: RaySpec, x: float, y: float) -> NDArray[np.float64]:
-    """As `footprint_edges`; the same array for the same robot."""
+def _edges(outline: Outline, rays: RaySpec, x: float, y: float) -> Floats:
+    """As `footprint_edges`: the same array for the same robot."""
     return outline_reach(outline, (x, y), rays.angles())
 
 

@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError
 from acsar_gym.jit import compilable, named_tuple
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Scene
 
 Floats = NDArray[np.float64]
-Numbers = NDArray[np.floating | np.integer | np.bool_]
-Bound = float | Sequence[float] | Floats  # one bound for all numbers of a sensor, or one for each
-MAP = "map"  # in a task's `sensors`, and of the sensor: the first of a robot's
-MOVERS = "movers"  # likewise; after the map
-LIDAR = "lidar"  # likewise; after map and movers, and before all others
+Bound = float | Sequence[float] | Floats
+"""A bound for all numbers of a sensor, or one for each."""
+MAP = "map"
+MOVERS = "movers"
+LIDAR = "lidar"
 
 
 def draw_uniform(rngs: Any, i: int) -> float:
-    """Draw a number of [0, 1) from robot i's generator, the one of `Generator.random()`.
+    """Draw a number of [0, 1) from robot i's generator, as `Generator.random()` does.
 
     Args:
-        rngs: as `read_batch` and `reset_batch` get them.
-        i: place of the robot in them.
+        rngs: Generators, as in `SensorInput`.
+        i: Place of the robot among them.
 
     Returns:
         The number.
@@ -42,12 +40,12 @@ def draw_uniform(rngs: Any, i: int) -> float:
 def draw_normal(rngs: Any, i: int) -> float:
     """Draw a number of mean 0 and standard deviation 1 from robot i's generator.
 
-    Made of two uniform ones as by Box and Muller (1958), so it isn't what `Generator.normal()`
-    draws.
+    It is made of two uniform numbers as by Box and Muller (1958), so it isn't what
+    `Generator.normal()` draws.
 
     Args:
-        rngs: as `read_batch` and `reset_batch` get them.
-        i: place of the robot in them.
+        rngs: Generators, as in `SensorInput`.
+        i: Place of the robot among them.
 
     Returns:
         The number.
@@ -56,179 +54,171 @@ def draw_normal(rngs: Any, i: int) -> float:
     return radius * math.cos(2.0 * math.pi * draw_uniform(rngs, i))
 
 
-class Truths(NamedTuple):
-    """The ground truth of some robots, one row each, in the frames of their worlds."""
+class SensorInput(NamedTuple):
+    """What a sensor may know of the n robots that it reads, a row or an item for each robot."""
 
     pose: Floats
-    """(robots, 3): x [m], y [m], theta [rad]."""
+    """(n, 3): True pose in the frame of the world: x [m], y [m], theta [rad]. NaN on hardware."""
     twist: Floats
-    """(robots, 2): forward speed [m/s], yaw rate [rad/s]."""
+    """(n, 2): True forward speed [m/s] and yaw rate [rad/s]. NaN on hardware."""
     contact: NDArray[np.bool_]
-    """(robots,): whether the robot has touched an obstacle since the reset."""
+    """(n,): Whether the robot has touched an obstacle since the reset."""
+    now: Floats
+    """(n,): Time on the link's clock [s]."""
+    scenes: Any
+    """n `Scene` objects: worlds, starts and goals. None for a compiled sensor in a batch."""
+    rngs: Any
+    """n generators, from which all random numbers of the sensor must come. A compiled sensor draws
+    with `draw_uniform(rngs, i)` and `draw_normal(rngs, i)`."""
+    memory: Any
+    """The sensor's `memory` by name, each (n,). The items can be changed."""
 
 
 class Sensor:
     """Something that a robot senses, which adds `size` numbers to the observation.
 
-    A subclass sets `name`, `size`, `low` and `high`, and implements `read`, or `read_batch`:
+    A subclass sets `name`, `size`, `low` and `high`, and implements `read`, which reads n robots at
+    once. The single env calls it with one robot, a batch with all its robots. The class itself is a
+    factory, `Compass(link, config)`, for `RobotEnv(sensors=[Compass])`, the `sensors` of a Task, or
+    `Robot(link, config, [Compass])`. A function `factory(link, config)` may choose another sensor
+    for a real robot, for which `link.truth` is None.
 
-        class Heading(Sensor):
-            name, size, low, high = "compass", 2, -1.0, 1.0
-
-            def read(self, truth, now):
-                theta = truth.pose[2] + self.rng.normal(0.0, 0.05)
-                return np.array([math.cos(theta), math.sin(theta)])
-
-    The class itself is then a factory, `Heading(link, config)`, for `RobotEnv(sensors=[Heading])`,
-    the `sensors` of a Task, or `Robot(link, config, [Heading])`. A function `factory(link, config)`
-    may choose another sensor where there is a real robot: `link.truth` is None there.
-
-    For large batches, a sensor reads all robots at once. It has no `reset`, `read`, `poll` or
-    `info` of its own, but:
-
-        reset_batch(scenes, rngs, memory): begins episodes; only for those that remember something.
-        read_batch(truths, scenes, now, rngs, out[, memory]): fills `out`, (robots, size). `truths`
-            are `Truths`, `now` is (robots,) [s]; `scenes` and `rngs` have an item for each robot.
-
-    `memory` is a named tuple of arrays (robots,), which a batch keeps for the sensor; the single
-    env calls the same methods with one robot. Where `compiled` is True, numba compiles them for
-    batches. `self` is then a named tuple of the sensor's numbers, as in a compiled Task, `scenes`
-    is None, and random numbers come from `draw_uniform(rngs, i)` and `draw_normal(rngs, i)`.
+    If `compiled` is True, numba compiles `reset` and `read` for batches, by the rules of a compiled
+    task: `self` is then a named tuple of the sensor's numbers.
 
     Attributes:
-        memory: Name and first value of each number that an episode of such a sensor remembers.
-        compiled: Whether numba compiles such a sensor for batches.
-        name: Name in errors; no two sensors of a robot may have the same.
+        name: Name in errors. No two sensors of a robot may have the same.
         size: How many numbers it adds to the observation.
         low: Their least values, as in the observation: a number, or (size,).
         high: Their largest values.
-        uses_truth: Whether `poll` and `read` use `truth`; without it a tick costs a little less.
-        link: The wire to the robot.
-        config: The robot's parameters.
-        scene: The episode's world and start; set by `reset`.
-        rng: The generator that all noise must come from; set by `reset`.
+        needs: Names of the robot's sensors that this sensor uses, which are then in `needed`.
+        memory: Name and first value of each number that an episode remembers.
+        compiled: Whether numba compiles the sensor for batches.
+        link: The wire to the robot. In a batch, the closed link of a simulated robot.
+        config: The robot's parameters. In a fleet, those of the first robot.
+        odometry: The robot's odometry. Its `pose` and `twist` change as it drives. Not in a batch.
+        needed: The sensors that `needs` names. Not in a batch.
 
     Args:
         link: The wire to the robot.
         config: The robot's parameters.
+
+    Example:
+        >>> import numpy as np
+        >>> from acsar_gym import Robot, Sensor, open_link
+        >>> class Compass(Sensor):
+        ...     name, size, low, high = "compass", 2, -1.0, 1.0
+        ...
+        ...     def read(self, robots, out):
+        ...         theta = robots.pose[:, 2]
+        ...         out[:] = np.column_stack([np.cos(theta), np.sin(theta)])
+        >>> with Robot(open_link("planar"), sensors=[Compass]) as robot:
+        ...     robot.read().tolist()
+        [1.0, 0.0]
     """
 
     name: str
     size: int
     low: Bound = -math.inf
     high: Bound = math.inf
-    uses_truth = True
+    needs: ClassVar[tuple[str, ...]] = ()
     memory: ClassVar[Mapping[str, float]] = {}
     compiled: ClassVar[bool] = False
-    scene: Scene
-    rng: np.random.Generator
+    odometry: Odometry
+    needed: Mapping[str, Sensor]
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
         self.link = link
         self.config = config
 
-    def follow(self, odometry: Odometry) -> None:
-        """Take over a robot's odometry, whose `pose` and `twist` change as it drives.
-
-        Called once, when the robot is made; a batch doesn't call it.
+    def connect(self, odometry: Odometry, needed: Mapping[str, Sensor]) -> None:
+        """Take over what changes as a robot drives. Called once, when the robot is made.
 
         Args:
-            odometry: of the robot.
+            odometry: Odometry of the robot.
+            needed: The sensors that `needs` names.
         """
+        self.odometry = odometry
+        self.needed = needed
 
-    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
-        """Begin an episode; a sensor with a device opens it here, if it isn't open.
+    def reset(self, robots: SensorInput) -> None:
+        """Start episodes. A sensor with a device opens it here, if it isn't open.
 
         Args:
-            scene: The world, and the robot's start in it.
-            rng: The env's generator: every random number of the sensor must come from it.
+            robots: Robots that start an episode. Their memory has the first values.
 
         Raises:
             LinkError: The device can't be opened, or doesn't measure.
         """
-        self.scene, self.rng = scene, rng
-        batch: Any = self
-        if hasattr(self, "read_batch"):
-            first = [[value] for value in self.memory.values()]
-            self._memory = name_memory(self, np.array(first, np.float64))
-            if hasattr(self, "reset_batch"):
-                batch.reset_batch([scene], [rng], *self._memory)
 
     def poll(self, truth: GroundTruth | None, now: float) -> None:
-        """Take a measurement, if one is due: called at a reset and after every tick.
+        """Take a measurement, if one is due. Called at a reset and after every tick.
 
-        For sensors with a clock of their own; the others measure in `read`.
+        It is for devices with a clock of their own, and only for single robots.
 
         Args:
-            truth: What only a simulator knows, in the scene's frame; None on hardware.
+            truth: What only a simulator knows, in the scene's frame. None on hardware.
             now: Time on the link's clock [s].
         """
 
-    def read(self, truth: GroundTruth | None, now: float) -> Numbers:
-        """Return the sensor's numbers for the observation; called once a step, after its last tick.
-
-        Left out by a sensor that has `read_batch`.
+    def read(self, robots: SensorInput, out: Floats) -> None:
+        """Read the sensor's numbers for the observation, once a step, after its last tick.
 
         Args:
-            truth: What only a simulator knows, in the scene's frame; None on hardware.
-            now: Time on the link's clock [s].
-
-        Returns:
-            Finite numbers, of shape (size,).
+            robots: What is known of the robots.
+            out: (n, size): To be filled with finite numbers.
 
         Raises:
             LinkError: The device is gone or silent. The robot is then stopped, as by any error.
-            AcsarError: The sensor has `read_batch`, and the link has no truth.
         """
-        if truth is None:
-            raise AcsarError(
-                f"sensor {self.name!r}: its read_batch needs the truth, which a real robot doesn't "
-                "have: pass a factory that makes another sensor there"
-            )
-        batch: Any = self
-        truths = Truths(*(np.array([part]) for part in (truth.pose, truth.twist, truth.contact)))
-        out = np.full((1, self.size), np.nan)
-        batch.read_batch(truths, [self.scene], np.array([now]), [self.rng], out, *self._memory)
-        numbers: Floats = out[0]
-        return numbers
+        raise NotImplementedError
 
-    def info(self, now: float) -> Mapping[str, float]:
-        """Return numbers for the env's info; the keys must be the same at every step.
+    def info(self, robots: SensorInput) -> Mapping[str, Any]:
+        """Return numbers for the env's info, each (n,). The keys must be the same at every step.
 
         Args:
-            now: Time on the link's clock [s].
+            robots: What is known of the robots.
         """
         return {}
 
     def close(self) -> None:
-        """Close the device; idempotent."""
+        """Close the device. Idempotent."""
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
         """`low` and `high` as arrays of shape (size,)."""
-        low, high = (np.asarray(bound, np.float64) for bound in (self.low, self.high))
+        low = np.asarray(self.low, np.float64)
+        high = np.asarray(self.high, np.float64)
         return np.broadcast_to(low, (self.size,)), np.broadcast_to(high, (self.size,))
 
     @property
     def layout(self) -> str:
-        """Name, size and bounds in words; a policy fits an env whose sensors have the same."""
+        """Name, size and bounds in words. A policy fits an env whose sensors have the same."""
         low, high = self.bounds
         return f"{self.name}[{self.size}] from {low.min():g} to {high.max():g}"
 
 
-def name_memory(sensor: Sensor, rows: Floats) -> tuple[Any, ...]:
-    """Make what `reset_batch` and `read_batch` get as `memory`: the rows by name.
+SENSOR_METHODS = ("reset", "read")
+"""The methods that a batch compiles if a sensor is compiled."""
 
-    Args:
-        sensor: declares the names.
-        rows: (names, robots).
 
-    Returns:
-        The named tuple alone; nothing where the sensor remembers nothing.
-    """
+def find_sensor(sensors: Iterable[Sensor], name: str) -> Any:
+    """The sensor with this name; None if there is none."""
+    return next((sensor for sensor in sensors if sensor.name == name), None)
+
+
+def new_memory(sensor: Sensor, robots: int) -> Floats:
+    """Make the memory of some robots, (names, robots), with the first values."""
+    first = np.array(list(sensor.memory.values()), np.float64)
+    return first.reshape(-1, 1).repeat(robots, axis=1)
+
+
+def name_memory(sensor: Sensor, rows: Floats) -> Any:
+    """Make the named tuple of a memory's rows. None if the sensor remembers nothing."""
     if not sensor.memory:
-        return ()
-    return (named_tuple(type(sensor), "Memory", tuple(sensor.memory))(*rows),)
+        return None
+    return named_tuple(type(sensor), "Memory", tuple(sensor.memory))(*rows)
 
 
-Factory = Callable[[Link, RobotConfig], Sensor]  # makes a robot's sensor, as a subclass does
+Factory = Callable[[Link, RobotConfig], Sensor]
+"""Makes a robot's sensor, as a subclass does."""

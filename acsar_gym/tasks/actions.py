@@ -14,25 +14,33 @@ NUMBER_KINDS = "fiub"
 
 
 def read_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
-    """Convert an action, or those of a batch, to a new array."""
-    is_single = len(shape) == 1
-    must = "two finite numbers (linear, angular) in [-1, 1]" if is_single else f"numbers {shape}"
-    problem = f"action{'' if is_single else 's'} = {{}}: must be {must}"
+    """Convert an action, or those of a batch, to a new array.
+
+    Raises:
+        CommandError: It has another shape, or isn't finite numbers.
+    """
     try:
-        given = np.asarray(actions)
-        is_numeric = given.dtype.kind in NUMBER_KINDS
+        array = np.asarray(actions)
+        is_numeric = array.dtype.kind in NUMBER_KINDS
         # numba would compile for arrays in another order
-        numbers = given.astype(np.float64, order="C") if is_numeric else None
+        numbers = array.astype(np.float64, order="C") if is_numeric else None
     except Exception as error:
-        reason = format_error(error)
-        raise CommandError(f"{problem.format(show_value(actions))}; {reason}") from error
-    if numbers is None or (is_single and numbers.shape != shape):
-        raise CommandError(problem.format(show_value(actions)))
-    if numbers.shape != shape:
-        raise CommandError(f"actions of shape {numbers.shape}: must be {shape}")
-    if np.isfinite(numbers).all():
+        raise CommandError(f"{_refuse(actions, shape)}; {format_error(error)}") from error
+
+    if numbers is None or numbers.shape != shape:
+        raise CommandError(_refuse(actions, shape))
+    is_finite = np.isfinite(numbers)
+    if is_finite.all():
         return numbers
-    if is_single:
-        raise CommandError(problem.format(show_value(actions)))
-    robot = int(np.isfinite(numbers).all(axis=1).argmin())
+    if len(shape) == 1:
+        raise CommandError(_refuse(actions, shape))
+    robot = int(is_finite.all(axis=1).argmin())
     raise CommandError(f"action of env {robot} is {numbers[robot]}: must be finite numbers")
+
+
+def _refuse(actions: Any, shape: tuple[int, ...]) -> str:
+    """The message for actions that can't be used."""
+    if len(shape) == 1:
+        must = "two finite numbers (linear, angular) in [-1, 1]"
+        return f"action = {show_value(actions)}: must be {must}"
+    return f"actions = {show_value(actions)}: must be numbers of shape {shape}"

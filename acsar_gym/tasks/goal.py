@@ -9,13 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
 from acsar_gym.tasks.options import check_distances, check_positive
 from acsar_gym.tasks.state import Goal, Pose, State
-from acsar_gym.tasks.task import OBSERVATION_LIMIT, Outcome, Task, clip_to, relative_point
+from acsar_gym.tasks.task import (
+    OBSERVATION_LIMIT,
+    Outcome,
+    Task,
+    clip_to,
+    end_reward,
+    relative_point,
+)
 from acsar_gym.trigonometry import cos_sin
 
 GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
@@ -29,46 +36,78 @@ GOAL_OBSERVATION: Mapping[str, tuple[float, float]] = {
 }
 
 
+class GoalWeights(NamedTuple):
+    """Weights of the terms of the reward."""
+
+    progress: float = 2.0
+    """Reward for each metre by which the robot comes closer to the goal."""
+    time: float = 0.02
+    """Cost of a step."""
+    backwards: float = 0.05
+    """Cost of the backward part of the action, because sensors look ahead."""
+    success: float = 2.0
+    """Reward at the goal."""
+    failure: float = 2.0
+    """Cost of leaving the bounds, and of a collision."""
+
+
 class GoalTask(Task):
     """Base of the tasks in which the robot drives to a goal."""
 
     observation = GOAL_OBSERVATION
     memory: ClassVar[Mapping[str, float]] = {"goal_distance": 0.0}
     compiled = True
+    weights: Any = GoalWeights()
     scale: float = 10.0
     """Observed distances are divided by this [m]."""
     boundary: float = math.inf
     """An episode ends without success this far from the start [m]."""
-    end: float = 5.0
-    """Reward at the goal; a collision, or leaving the bounds, costs as much."""
 
     def begin(self, state: State, memory: Any) -> None:
         """Remember the distance to the goal."""
-        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+        memory.goal_distance = goal_distance(state.pose, state.goal)
 
     def outcome(self, state: State, memory: Any) -> Outcome:
         """Success within the tolerance, out of bounds beyond the boundary, collision by contact."""
-        x, y, _ = state.pose
         if state.contact:
             return Outcome.COLLISION
-        if goal_distance(x, y, state.goal) <= self.goal_tolerance:
+        if goal_distance(state.pose, state.goal) <= self.goal_tolerance:
             return Outcome.SUCCESS
-        return Outcome.OUT_OF_BOUNDS if math.sqrt(x * x + y * y) > self.boundary else Outcome.GOING
+        is_outside = goal_distance(state.pose, (0.0, 0.0)) > self.boundary
+        return Outcome.OUT_OF_BOUNDS if is_outside else Outcome.GOING
 
     def shortest_path(self, state: State, memory: Any) -> tuple[Goal, ...]:
         """To the goal."""
         return (state.goal,)
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """Reward of the step, see `goal_reward`; remembers the distance to the goal."""
-        before = memory.goal_distance
-        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
-        return goal_reward(before, memory.goal_distance, state.action[0], outcome, self.end)
+        """Sum of the terms of `GoalWeights`. Remembers the distance to the goal."""
+        weights = self.weights
+        distance = goal_distance(state.pose, state.goal)
+        progress = memory.goal_distance - distance
+        memory.goal_distance = distance
+        backwards = min(state.action[0], 0.0)
+        end = end_reward(outcome, weights.success, weights.failure)
+        reward: float = weights.progress * progress - weights.time + weights.backwards * backwards
+        return reward + end
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
-        """The numbers that GOAL_OBSERVATION names; distance and speeds are scaled."""
-        return goal_numbers(
-            state.pose, state.twist, state.goal, (self.scale, *state.max_twist), state.action
+        """The numbers that GOAL_OBSERVATION names. Distance and speeds are scaled."""
+        x, y, theta = state.pose
+        goal_x, goal_y = state.goal
+        linear, angular = state.twist
+        cos, sin = cos_sin(theta)
+        ahead, left_by = relative_point(x, y, cos, sin, other_x=goal_x, other_y=goal_y)
+        distance = goal_distance(state.pose, state.goal)
+        divisor = max(distance, 1e-12)
+
+        return (
+            min(distance / self.scale, OBSERVATION_LIMIT),
+            clip_to(ahead / divisor, 1.0),
+            clip_to(left_by / divisor, 1.0),
+            clip_to(linear / state.max_twist[0], OBSERVATION_LIMIT),
+            clip_to(angular / state.max_twist[1], OBSERVATION_LIMIT),
+            *state.action,
         )
 
 
@@ -82,22 +121,17 @@ class PointGoal(GoalTask):
     goal_tolerance: float = 0.15
     """Radius of the goal [m]."""
     distance_scale: float | None = None
-    """Observed distances are divided by this [m]; None: by the distance of the farthest goal."""
-    end = 2.0
+    """Observed distances are divided by this [m]. None: by the distance of the farthest goal."""
 
     def __post_init__(self) -> None:
-        limits = check_distances(self.goal_distance)
-        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
-        if tolerance >= limits[0]:
+        nearest, _ = check_distances(self.goal_distance)
+        if check_positive("goal_tolerance", self.goal_tolerance) >= nearest:
             raise ConfigError(
-                f"goal_tolerance = {tolerance:g}: must be below the nearest goal_distance, "
-                f"{limits[0]:g} m"
+                f"goal_tolerance = {self.goal_tolerance:g}: must be below the nearest "
+                f"goal_distance, {nearest:g} m"
             )
-        object.__setattr__(self, "goal_distance", limits)
-        object.__setattr__(self, "goal_tolerance", tolerance)
         if self.distance_scale is not None:
-            scale = check_positive("distance_scale", self.distance_scale)
-            object.__setattr__(self, "distance_scale", scale)
+            check_positive("distance_scale", self.distance_scale)
 
     @property
     def scale(self) -> float:  # type: ignore[override]
@@ -110,55 +144,9 @@ class PointGoal(GoalTask):
         return OBSERVATION_LIMIT * self.goal_distance[1]
 
 
-# The functions below take and return scalars, so that numba can compile them for batches.
-
-
 @compilable
-def goal_numbers(
-    pose: Pose,
-    twist: tuple[float, float],
-    goal: Goal,
-    scales: tuple[float, float, float],
-    action: tuple[float, float],
-) -> tuple[float, float, float, float, float, float, float]:
-    """Compute the numbers that GOAL_OBSERVATION names."""
-    x, y, theta = pose
-    cos, sin = cos_sin(theta)
-    ahead, left = relative_point(x, y, cos, sin, goal[0], goal[1])
-    distance = goal_distance(x, y, goal)
-    near = max(distance, 1e-12)
-    return (
-        min(distance / scales[0], OBSERVATION_LIMIT),
-        clip_to(ahead / near, 1.0),
-        clip_to(left / near, 1.0),
-        clip_to(twist[0] / scales[1], OBSERVATION_LIMIT),
-        clip_to(twist[1] / scales[2], OBSERVATION_LIMIT),
-        action[0],
-        action[1],
-    )
-
-
-@compilable
-def goal_distance(x: float, y: float, goal: Goal) -> float:
+def goal_distance(pose: Pose, goal: Goal) -> float:
     """Straight-line distance to the goal [m]."""
-    dx, dy = goal[0] - x, goal[1] - y
+    dx = goal[0] - pose[0]
+    dy = goal[1] - pose[1]
     return math.sqrt(dx * dx + dy * dy)
-
-
-@compilable
-def goal_reward(before: float, after: float, linear: float, outcome: int, end: float) -> float:
-    """Reward of a step towards a goal.
-
-        2 (before - after) - 0.02 + 0.05 min(linear, 0) + (end, -end or 0)
-
-    Driving backwards costs up to 0.05 a step, because sensors look ahead.
-
-    Args:
-        before: distance to the goal before the step [m].
-        after: distance to the goal after it [m].
-        linear: the action's linear part, in [-1, 1].
-        outcome: number of the step's Outcome.
-        end: added at success, subtracted for a collision or beyond the boundary.
-    """
-    last = end if outcome == 1 else (-end if outcome > 1 else 0.0)
-    return 2.0 * (before - after) - 0.02 + 0.05 * min(linear, 0.0) + last

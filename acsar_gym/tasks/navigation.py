@@ -1,6 +1,6 @@
 """Tasks with a goal behind obstacles: a cluttered floor, or the worlds of BARN.
 
-The robot sees with a LiDAR and remembers in a map what it has seen; reward counts the way to the
+The robot sees with a LiDAR and remembers in a map what it has seen. Reward counts the way to the
 goal over that map, so that turning back in a dead end pays.
 
 The score of the BARN challenge (Xiao et al., ICRA 2022) for one run is
@@ -16,9 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
-from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
 from acsar_gym.sensors import MAP
 from acsar_gym.sensors.map.sensor import (
@@ -33,10 +32,12 @@ from acsar_gym.sensors.map.sensor import (
 from acsar_gym.tasks.goal import GoalTask, goal_distance
 from acsar_gym.tasks.options import check_positive
 from acsar_gym.tasks.state import State
-from acsar_gym.tasks.task import Outcome
+from acsar_gym.tasks.task import Outcome, end_reward
 
-BARN_TOLERANCE = 1.0  # the run is a success once odometry is this close to the goal [m]
-CHALLENGE_SPEED = 2.0  # the reference speed of the challenge [m/s]
+BARN_TOLERANCE = 1.0
+"""A run is a success once odometry is this close to the goal [m]."""
+CHALLENGE_SPEED = 2.0
+"""Reference speed of the challenge [m/s]."""
 BARN_SCORES = ("barn_score", "barn_score_k4", "barn_score_own", "barn_score_own_k4")
 """Names of the four scores in info: k = 2 (since 2024) and k = 4 (2022), each with the
 challenge's reference speed of 2 m/s and with the robot's own top speed."""
@@ -49,12 +50,12 @@ def barn_score(success: float, time: float, length: float, speed: float, k: floa
     Args:
         success: 1 for a run that reached the goal, otherwise 0.
         time: that the run took [s].
-        length: of the world's own path from start to goal [m]; NaN where there is none.
+        length: of the world's own path from start to goal [m]. NaN where there is none.
         speed: reference speed of the optimal time [m/s].
         k: a run faster than k times the optimal time earns no more.
 
     Returns:
-        0 to 1 / k; NaN where `length` is NaN.
+        0 to 1 / k. NaN where `length` is NaN.
     """
     optimal = length / speed
     if math.isnan(optimal):
@@ -66,26 +67,43 @@ NEAR_SHARE = log_share(0.5, FARTHEST_CLEARANCE)
 """Less clearance than this costs reward: half a radius of the footprint, as the map observes it."""
 
 
+class NavigationWeights(NamedTuple):
+    """Weights of `navigation_reward`."""
+
+    progress: float = 0.1
+    """Reward for shortening the way to the goal, by the robot's map, by as much in a step as the
+    top speed would."""
+    time: float = 0.04
+    """Cost of a step."""
+    near: float = 0.15
+    """Cost of touching something. It falls to 0 at a clearance of half the footprint's radius."""
+    backwards: float = 0.05
+    """Cost of the backward part of the action, because sensors look ahead."""
+    slide: float = 0.1
+    """Cost of each m/s^2 of acceleration sideways above 0.7 m/s^2, up to 2 m/s^2, because tyres
+    slide there and odometry drifts."""
+    stalled: float = 0.1
+    """Cost of 50 steps in which the way doesn't become shorter. It grows from 0 until then."""
+    success: float = 5.0
+    """Reward at the goal."""
+    collision: float = 15.0
+    """Cost of a collision. It is more than the goal pays, so that haste isn't worth the risk."""
+
+
 class NavigationTask(GoalTask):
     """Base of the tasks with a goal behind obstacles, which the robot sees with a LiDAR."""
 
     sensors: tuple[Any, ...] = ("map", "lidar")
+    needs: ClassVar[tuple[str, ...]] = (MAP,)
     memory: ClassVar[Mapping[str, float]] = {"goal_distance": 0.0}
     told: ClassVar[tuple[str, ...] | None] = ("goal_distance",)
     compiled = True
-    crash: float = 15.0
-    """What a collision costs; more than the goal pays, so that haste isn't worth the risk."""
-
-    def __init_subclass__(cls, **options: Any) -> None:
-        """Check that the robot has a map, whose numbers the reward reads. ConfigError without."""
-        super().__init_subclass__(**options)
-        if MAP not in cls.sensors:
-            raise ConfigError(f"{cls.__name__}.sensors = {cls.sensors!r}: must name {MAP!r}")
+    weights: Any = NavigationWeights()
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Reward of the step, see `navigation_reward`."""
-        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
-        return navigation_reward(state, outcome, self.end, self.crash)
+        memory.goal_distance = goal_distance(state.pose, state.goal)
+        return navigation_reward(state, outcome, self.weights)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,12 +116,11 @@ class ObstacleGoal(NavigationTask):
     """Radius of the goal [m]."""
 
     def __post_init__(self) -> None:
-        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
-        object.__setattr__(self, "goal_tolerance", tolerance)
+        check_positive("goal_tolerance", self.goal_tolerance)
 
 
 class Barn(NavigationTask):
-    """Drive 10 m through a field of cylinders (BARN), with a LiDAR; info has the score."""
+    """Drive 10 m through a field of cylinders (BARN), with a LiDAR. Info has the score."""
 
     id = "acsar_gym/Barn-v1"
     worlds = "barn:train"
@@ -116,56 +133,50 @@ class Barn(NavigationTask):
     compiled = True
 
     def begin(self, state: State, memory: Any) -> None:
-        """Remember the distance to the goal; the scores are zero until it is reached."""
-        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+        """Remember the distance to the goal. The scores are zero until it is reached."""
+        memory.goal_distance = goal_distance(state.pose, state.goal)
         store_scores(state, memory, 0)
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """Reward of the step, see `navigation_reward`; remembers the scores."""
-        memory.goal_distance = goal_distance(state.pose[0], state.pose[1], state.goal)
+        """Reward of the step, see `navigation_reward`. Remembers the scores."""
+        memory.goal_distance = goal_distance(state.pose, state.goal)
         store_scores(state, memory, outcome)
-        return navigation_reward(state, outcome, self.end, self.crash)
+        return navigation_reward(state, outcome, self.weights)
 
 
 # The functions below are compiled for batches, too.
 
 
 @compilable
-def navigation_reward(state: State, outcome: int, end: float, crash: float) -> float:
-    """Reward of a step towards a goal behind obstacles.
-
-        0.1 gained - 0.04 - 0.1 stalled - 0.15 near - 0.1 slide + 0.05 min(linear, 0)
-            + (end, -crash or 0)
-
-    `gained` is how much shorter the way to the goal is after the step, by the robot's map, in parts
-    of what its top speed would give. `stalled` grows to 1 in 50 steps in which the way doesn't
-    become shorter. `near` is 0 where the footprint's least clearance is half its radius or more,
-    and 1 where it touches something. `slide` is by how much the acceleration sideways is over
-    0.7 m/s^2, at most 2, because tyres slide there and odometry drifts. Driving backwards costs up
-    to 0.05 a step, because sensors look ahead.
+def navigation_reward(state: State, outcome: int, weights: Any) -> float:
+    """Compute the reward of a step towards a goal behind obstacles.
 
     Args:
-        state: after the step; `sensed` begins with the numbers of the map.
-        outcome: number of the step's Outcome.
-        end: added at success.
-        crash: subtracted for a collision.
+        state: State after the step. `sensed` begins with the numbers of the map.
+        outcome: Number of the step's Outcome.
+        weights: Weights of the terms, with the names of `NavigationWeights`.
     """
-    least = NEAR_SHARE
-    for n in range(FIRST_SECTOR, FIRST_SECTOR + SECTORS):
-        least = min(least, float(state.sensed[n]))
-    last = end if outcome == 1 else (-crash if outcome > 1 else 0.0)
+    clearance = NEAR_SHARE
+    for sector in range(FIRST_SECTOR, FIRST_SECTOR + SECTORS):
+        clearance = min(clearance, float(state.sensed[sector]))
+    nearness = 1.0 - clearance / NEAR_SHARE
     slide = max(abs(state.twist[0] * state.twist[1]) - SLIDE_ACCELERATION, 0.0)
-    costs = 0.04 + 0.15 * (1.0 - least / NEAR_SHARE) - 0.05 * min(state.action[0], 0.0)
-    costs += 0.1 * min(slide, 2.0) + 0.1 * float(state.sensed[STALLED])
-    return 0.1 * float(state.sensed[GAINED]) - costs + last
+
+    costs = weights.time + weights.near * nearness - weights.backwards * min(state.action[0], 0.0)
+    costs += weights.slide * min(slide, 2.0) + weights.stalled * float(state.sensed[STALLED])
+    end = end_reward(outcome, weights.success, weights.collision)
+    reward: float = weights.progress * float(state.sensed[GAINED]) - costs + end
+    return reward
 
 
 @compilable
 def store_scores(state: State, memory: Any, outcome: int) -> None:
-    """Write BARN's scores of the run so far into the memory; zeros without success."""
-    success, own = 1.0 if outcome == 1 else 0.0, state.max_twist[0]
-    time, length = state.time, state.length
+    """Write BARN's scores of the run so far into the memory. Zeros without success."""
+    success = 1.0 if outcome == Outcome.SUCCESS else 0.0
+    time = state.time
+    length = state.length
+    top_speed = state.max_twist[0]
     memory.barn_score = barn_score(success, time, length, CHALLENGE_SPEED, 2.0)
     memory.barn_score_k4 = barn_score(success, time, length, CHALLENGE_SPEED, 4.0)
-    memory.barn_score_own = barn_score(success, time, length, own, 2.0)
-    memory.barn_score_own_k4 = barn_score(success, time, length, own, 4.0)
+    memory.barn_score_own = barn_score(success, time, length, top_speed, 2.0)
+    memory.barn_score_own_k4 = barn_score(success, time, length, top_speed, 4.0)

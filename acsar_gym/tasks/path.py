@@ -5,12 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from acsar_gym.jit import compilable
 from acsar_gym.tasks.options import check_positive
-from acsar_gym.tasks.state import Floats, State
-from acsar_gym.tasks.task import OBSERVATION_LIMIT, Outcome, Task, clip_to, relative_point
+from acsar_gym.tasks.state import Floats, Pose, State
+from acsar_gym.tasks.task import (
+    OBSERVATION_LIMIT,
+    Outcome,
+    Task,
+    clip_to,
+    end_reward,
+    relative_point,
+)
 from acsar_gym.trigonometry import cos_sin
 from acsar_gym.worlds.search import PATH_SPACING
 
@@ -30,15 +37,36 @@ PATH_OBSERVATION: Mapping[str, tuple[float, float]] = {
     "max_linear": (0.0, OBSERVATION_LIMIT),
     "max_angular": (0.0, OBSERVATION_LIMIT),
 }
-POINT_TIME = 0.5  # between two observed points of the path, at the robot's top speed [s]
-TURN_SCALE = 4.0  # the observed greatest yaw rate is divided by this [rad/s]
+POINT_TIME = 0.5
+"""Time between two observed points of the path, at the robot's top speed [s]."""
+TURN_SCALE = 4.0
+"""The observed greatest yaw rate is divided by this [rad/s]."""
 SEARCH_BACK, SEARCH_AHEAD = 10, 20
 """How many samples of the path behind and ahead of the last position on it are searched."""
 TIE_DISTANCE = 1e-12
-"""Squared distances that differ by less count as equal, as at a corner; the first piece is taken
+"""Squared distances that differ by less count as equal, as at a corner. The first piece is taken
 [m^2]."""
-LENGTH_SCALE = 10.0  # the observed remaining length is divided by this [m]
-PATH_TOLERANCE = 0.15  # success once odometry is this close to the end of the path [m]
+LENGTH_SCALE = 10.0
+"""The observed remaining length is divided by this [m]."""
+PATH_TOLERANCE = 0.15
+"""Success once odometry is this close to the end of the path [m]."""
+
+
+class PathWeights(NamedTuple):
+    """Weights of the terms of the reward."""
+
+    progress: float = 0.1
+    """Reward for covering as much of the path in a step as the top speed would."""
+    time: float = 0.02
+    """Cost of a step."""
+    cross_track: float = 1.0
+    """Cost of each metre of distance from the path."""
+    backwards: float = 0.05
+    """Cost of the backward part of the action."""
+    success: float = 2.0
+    """Reward at the end of the path."""
+    failure: float = 2.0
+    """Cost of leaving the bounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +74,7 @@ class PathFollow(Task):
     """Follow a smooth path, or straight pieces between waypoints."""
 
     max_cross_track: float = 0.5
-    """An episode ends without success this far beside the path; also scales the observed error
+    """An episode ends without success this far beside the path. Also scales the observed error
     [m]."""
     id = "acsar_gym/PathFollow-v0"
     observation = PATH_OBSERVATION
@@ -73,65 +101,74 @@ class PathFollow(Task):
     goal_tolerance = PATH_TOLERANCE
     follows = True
     compiled = True
+    weights = PathWeights()
 
     def __post_init__(self) -> None:
-        most = check_positive("max_cross_track", self.max_cross_track)
-        object.__setattr__(self, "max_cross_track", most)
+        check_positive("max_cross_track", self.max_cross_track)
 
     def begin(self, state: State, memory: Any) -> None:
         """Find the robot's position on the path."""
         locate_on_path(state, memory)
 
     def outcome(self, state: State, memory: Any) -> Outcome:
-        """Success near the path's end, out of bounds too far beside it; keeps mean errors."""
+        """Success near the path's end, out of bounds too far beside it. Keeps mean errors."""
         locate_on_path(state, memory)
         steps = math.floor(state.time / state.period + 0.5)
         memory.cross_sum += abs(memory.cross_track_error)
         memory.heading_sum += abs(memory.heading_error)
         memory.mean_cross_track_error = memory.cross_sum / steps
         memory.mean_heading_error = memory.heading_sum / steps
+
         x, y, _ = state.pose
-        far = math.sqrt((state.goal[0] - x) ** 2 + (state.goal[1] - y) ** 2)
-        if remaining_length(state, memory) <= PATH_TOLERANCE and far <= PATH_TOLERANCE:
+        distance = math.sqrt((state.goal[0] - x) ** 2 + (state.goal[1] - y) ** 2)
+        if remaining_length(state, memory) <= PATH_TOLERANCE and distance <= PATH_TOLERANCE:
             return Outcome.SUCCESS
-        beside = abs(memory.cross_track_error) > self.max_cross_track
-        return Outcome.OUT_OF_BOUNDS if beside else Outcome.GOING
+        is_beside = abs(memory.cross_track_error) > self.max_cross_track
+        return Outcome.OUT_OF_BOUNDS if is_beside else Outcome.GOING
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        """Reward of the step, see `path_reward`."""
-        gained = memory.gain / (state.max_twist[0] * state.period)
-        return path_reward(gained, memory.cross_track_error, state.action[0], outcome)
+        """Sum of the terms of `PathWeights`."""
+        weights = self.weights
+        progress = memory.gain / (state.max_twist[0] * state.period)
+        cross_track = abs(memory.cross_track_error)
+        backwards = min(state.action[0], 0.0)
+        end = end_reward(outcome, weights.success, weights.failure)
+        reward: float = weights.progress * progress - weights.time
+        reward = reward - weights.cross_track * cross_track + weights.backwards * backwards
+        return reward + end
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
-        """The numbers that PATH_OBSERVATION names; lengths and speeds are scaled."""
-        limit, (cos, sin) = OBSERVATION_LIMIT, cos_sin(state.pose[2])
-        fastest, turning = state.max_twist
+        """The numbers that PATH_OBSERVATION names. Lengths and speeds are scaled."""
+        cos, sin = cos_sin(state.pose[2])
+        linear, angular = state.twist
+        max_linear, max_angular = state.max_twist
+
         return (
-            clip_to(memory.cross_track_error / self.max_cross_track, limit),
+            clip_to(memory.cross_track_error / self.max_cross_track, OBSERVATION_LIMIT),
             *cos_sin(memory.heading_error),
-            min(remaining_length(state, memory) / LENGTH_SCALE, limit),
-            *point_ahead(state, memory, cos, sin, 1),
-            *point_ahead(state, memory, cos, sin, 2),
-            *point_ahead(state, memory, cos, sin, 3),
-            *point_ahead(state, memory, cos, sin, 4),
-            clip_to(state.twist[0] / fastest, limit),
-            clip_to(state.twist[1] / turning, limit),
+            min(remaining_length(state, memory) / LENGTH_SCALE, OBSERVATION_LIMIT),
+            *point_ahead(state, memory, cos, sin, number=1),
+            *point_ahead(state, memory, cos, sin, number=2),
+            *point_ahead(state, memory, cos, sin, number=3),
+            *point_ahead(state, memory, cos, sin, number=4),
+            clip_to(linear / max_linear, OBSERVATION_LIMIT),
+            clip_to(angular / max_angular, OBSERVATION_LIMIT),
             *state.action,
-            min(fastest, limit),
-            min(turning / TURN_SCALE, limit),
+            min(max_linear, OBSERVATION_LIMIT),
+            min(max_angular / TURN_SCALE, OBSERVATION_LIMIT),
         )
 
 
 @compilable
 def locate_on_path(state: State, memory: Any) -> None:
     """Find the robot's position on its path, near the last one, and write it into the memory."""
-    x, y, theta = state.pose
-    last, before = len(state.path) - 1, memory.progress
-    progress, cross, bearing = nearest_on_path(state.path, last, before, x, y)
-    memory.progress, memory.bearing = progress, bearing
-    memory.gain = (progress - before) * (state.length / last)
-    memory.cross_track_error = cross
-    memory.heading_error = heading_error(theta, bearing)
+    last = len(state.path) - 1
+    progress, cross_track, bearing = nearest_on_path(state.path, memory.progress, state.pose)
+    memory.gain = (progress - memory.progress) * (state.length / last)
+    memory.progress = progress
+    memory.bearing = bearing
+    memory.cross_track_error = cross_track
+    memory.heading_error = heading_error(state.pose[2], bearing)
     memory.path_progress = progress / last
 
 
@@ -156,62 +193,52 @@ def point_ahead(
     samples = max(math.floor(number * stride / PATH_SPACING + 0.5), number)
     k = min(int(memory.progress) + samples, len(state.path) - 1)
     x, y = state.path[k, 0], state.path[k, 1]
-    ahead, left = relative_point(state.pose[0], state.pose[1], cos, sin, x, y)
+    robot_x, robot_y, _ = state.pose
+    ahead, left_by = relative_point(robot_x, robot_y, cos, sin, other_x=x, other_y=y)
     unit = LOOKAHEAD * stride
-    return clip_to(ahead / unit, OBSERVATION_LIMIT), clip_to(left / unit, OBSERVATION_LIMIT)
+    return clip_to(ahead / unit, OBSERVATION_LIMIT), clip_to(left_by / unit, OBSERVATION_LIMIT)
 
 
 @compilable
-def nearest_on_path(
-    path: Floats, last: int, progress: float, x: float, y: float
-) -> tuple[float, float, float]:
-    """Find the point of a path that is nearest to a given point, near the last one found.
+def nearest_on_path(path: Floats, progress: float, pose: Pose) -> tuple[float, float, float]:
+    """Find the point of a path that is nearest to the robot, near the last point found.
 
     Args:
         path: (samples, 3): x [m], y [m], direction [rad].
-        last: number of the path's last sample.
-        progress: the last position on the path [samples].
-        x: of the point [m].
-        y: of the point [m].
+        progress: The last position on the path [samples].
+        pose: The robot's pose.
 
     Returns:
         Position on the path [samples]; signed distance from it [m], positive to the left of the
         path; and the path's direction there [rad]. Before the first and behind the last sample it
         is the distance to that sample.
     """
+    x, y, _ = pose
     first = max(int(progress) - SEARCH_BACK, 0)
-    best, place, side, bearing = math.inf, progress, 0.0, 0.0
-    for k in range(first, min(int(progress) + SEARCH_AHEAD, last)):
-        ex, ey = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
+    last = min(int(progress) + SEARCH_AHEAD, len(path) - 1)
+    nearest = progress
+    least_square = math.inf
+    side = 0.0
+    bearing = 0.0
+    for k in range(first, last):
+        # The nearest point of the piece from sample k to the next sample.
+        along_x, along_y = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
         dx, dy = x - path[k, 0], y - path[k, 1]
-        share = (dx * ex + dy * ey) / (ex * ex + ey * ey)
+        share = (dx * along_x + dy * along_y) / (along_x * along_x + along_y * along_y)
         share = min(max(share, 0.0), 1.0)
-        rx, ry = dx - share * ex, dy - share * ey
-        square = rx * rx + ry * ry
-        if square < best - TIE_DISTANCE:
-            best, place, bearing = square, k + share, path[k, 2]
-            side = 1.0 if ex * dy - ey * dx >= 0.0 else -1.0
-    return place, side * math.sqrt(best), bearing
+        beside_x, beside_y = dx - share * along_x, dy - share * along_y
+        square = beside_x * beside_x + beside_y * beside_y
+
+        if square < least_square - TIE_DISTANCE:
+            least_square = square
+            nearest = k + share
+            bearing = path[k, 2]
+            side = 1.0 if along_x * dy - along_y * dx >= 0.0 else -1.0
+    return nearest, side * math.sqrt(least_square), bearing
 
 
 @compilable
 def heading_error(theta: float, bearing: float) -> float:
-    """Heading minus path direction [rad], wrapped to [-pi, pi); positive to the left."""
+    """Heading minus path direction [rad], wrapped to [-pi, pi). Positive to the left."""
     error = theta - bearing
     return error - 2.0 * math.pi * math.floor(error / (2.0 * math.pi) + 0.5)
-
-
-@compilable
-def path_reward(gained: float, cross: float, linear: float, outcome: int) -> float:
-    """Reward of a step along a path.
-
-        0.1 gained - 0.02 - |cross| + 0.05 min(linear, 0) + (2 at success, -2 out of bounds)
-
-    Args:
-        gained: length of the path covered in the step, in parts of what the top speed would drive.
-        cross: distance from the path [m].
-        linear: the action's linear part, in [-1, 1].
-        outcome: number of the step's Outcome.
-    """
-    end = 2.0 if outcome == 1 else (-2.0 if outcome > 1 else 0.0)
-    return 0.1 * gained - 0.02 - abs(cross) + 0.05 * min(linear, 0.0) + end

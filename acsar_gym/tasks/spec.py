@@ -16,14 +16,13 @@ from pydantic import BaseModel
 
 from acsar_gym.reading import object_name
 from acsar_gym.sensors import Sensor
-from acsar_gym.tasks.task import Task
+from acsar_gym.tasks.task import Task, observation_bounds
 
 
 def task_spaces(task: Task, sensors: Iterable[Sensor]) -> tuple[Box, Box]:
     """Make the action and the observation space of a task, for one robot."""
-    of_task = np.array(list(task.observation.values()), np.float64).reshape(-1, 2).T
-    bounds = np.hstack([of_task, *(np.array(sensor.bounds) for sensor in sensors)])
-    low, high = bounds.astype(np.float32)
+    bounds: list[Any] = [observation_bounds(task), *(sensor.bounds for sensor in sensors)]
+    low, high = np.hstack(bounds).astype(np.float32)
     return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
 
 
@@ -38,19 +37,14 @@ class PlainSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """How Gymnasium made this environment; None where it was made directly."""
+        """How Gymnasium made this environment. None if it was made directly."""
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
             spec = copy.copy(spec)
-            sensors = [
-                (isinstance(sensor, FunctionType) and object_name(sensor)) or sensor
-                for sensor in spec.kwargs.get("sensors", ())
-            ]
-            named = {**spec.kwargs, "sensors": sensors}
-            spec.kwargs = {name: to_plain(named[name]) for name in spec.kwargs}
+            spec.kwargs = to_plain(spec.kwargs)
             object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids
         self._spec = spec
 
@@ -70,6 +64,6 @@ def to_plain(value: Any) -> Any:
         return [to_plain(item) for item in value]
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, type) and issubclass(value, Sensor):
+    if isinstance(value, FunctionType) or (isinstance(value, type) and issubclass(value, Sensor)):
         return object_name(value) or value
     return str(value.absolute()) if isinstance(value, Path) else value

@@ -1,15 +1,9 @@
-"""What a task is told, and what info says: one list of fields each, from which all are made.
-
-The single environment and a batch name a robot's numbers alike, such as "odom_x": in a batch they
-are the fields of `vector.kernel.layout.Robots`, in the single environment the keys of a mapping. A
-field of `State` names the numbers that it is made of; a field that names none is handed over.
-"""
+"""What a task receives after every step, and the keys of info."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Annotated, Any, NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +14,6 @@ Pose = tuple[float, float, float]
 Goal = tuple[float, float]
 Twist = tuple[float, float]
 WheelSpeeds = tuple[float, float, float, float]
-Info = dict[str, float]
 
 NO_RANGES: Floats = np.zeros(0)
 NO_PATH: Floats = np.zeros((0, 3))
@@ -30,107 +23,98 @@ NOTHING_SENSED: Observation = np.zeros(0, np.float32)
 class State(NamedTuple):
     """What a task knows after every step. On a real robot all of it is known except `contact`.
 
-    Poses and points are in the odometry frame, in which the robot starts at the origin.
+    Poses and points are in the odometry frame, in which the robot starts at the origin. The single
+    env and a batch create it in one place each: `RobotEnv._observe` and `vector.kernel.task`.
     """
 
-    pose: Annotated[Pose, "odom_x", "odom_y", "odom_theta"] = (0.0, 0.0, 0.0)
+    pose: Pose = (0.0, 0.0, 0.0)
     """Pose by odometry: x [m], y [m], theta [rad]."""
-    twist: Annotated[Twist, "linear", "angular"] = (0.0, 0.0)
+    twist: Twist = (0.0, 0.0)
     """Velocity by odometry: linear [m/s], angular [rad/s]."""
-    wheel_speeds: Annotated[WheelSpeeds, "read_speed"] = (0.0, 0.0, 0.0, 0.0)
+    wheel_speeds: WheelSpeeds = (0.0, 0.0, 0.0, 0.0)
     """Wheel speeds by the encoders, in the order of the wheels a to d [rad/s]."""
-    action: Annotated[Twist, "action_linear", "action_angular"] = (0.0, 0.0)
-    """The last action (linear, angular), in [-1, 1]; zeros at a reset."""
-    sent: Annotated[Twist, "sent_linear", "sent_angular"] = (0.0, 0.0)
+    action: Twist = (0.0, 0.0)
+    """The last action (linear, angular), in [-1, 1]. Zeros at a reset."""
+    sent: Twist = (0.0, 0.0)
     """The velocity command of the last tick, after all limits: linear [m/s], angular [rad/s]."""
-    reason: Annotated[int, "reason"] = 0
-    """Why `sent` differs from the action: a `safety.layer.Reason`; 0 where it doesn't."""
+    reason: int = 0
+    """Why `sent` differs from the action: a `safety.layer.Reason`, or 0 if it doesn't differ."""
     ranges: Floats = NO_RANGES
-    """(rays,): the LiDAR's newest scan [m]; empty where the task uses none."""
+    """(rays,): the LiDAR's newest scan [m]. Empty if the task uses none."""
     edges: Floats = NO_RANGES
     """(rays,): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     sensed: Observation = NOTHING_SENSED
     """(numbers,): what all sensors add to the observation, scaled as it is there."""
     time: float = 0.0
     """Time since the reset, a whole number of env steps [s]."""
-    feedback_age: Annotated[float, "age"] = 0.0
+    feedback_age: float = 0.0
     """Time since the last feedback line of the board [s]."""
-    contact: Annotated[bool, "contact"] = False
-    """Whether a simulated robot has touched an obstacle; always False on hardware."""
-    goal: Annotated[Goal, "goal_x", "goal_y"] = (1.0, 0.0)
+    contact: bool = False
+    """Whether a simulated robot has touched an obstacle. Always False on hardware."""
+    goal: Goal = (1.0, 0.0)
     """The goal: x, y [m]."""
     path: Floats = NO_PATH
-    """(samples, 3): x [m], y [m] and direction [rad] every 0.05 m along the path to follow;
-    empty unless the task sets `follows`."""
+    """(samples, 3): x [m], y [m] and direction [rad] every 0.05 m along the path to follow.
+    Empty unless the task sets `follows`."""
     length: float = math.nan
-    """Length of the world's own path from start to goal [m]; NaN where there is none."""
-    max_twist: Annotated[Twist, "max_linear", "max_angular"] = (1.0, 1.0)
+    """Length of the world's own path from start to goal [m]. NaN if the world has none."""
+    max_twist: Twist = (1.0, 1.0)
     """The velocity of a full action: linear [m/s], angular [rad/s]."""
     period: float = 0.1
     """Duration of an env step [s]."""
 
 
-INFO = {
-    "is_success": "success",
-    "odom_x": "odom_x",
-    "odom_y": "odom_y",
-    "odom_theta": "odom_theta",
-    "feedback_age": "age",
-    "sent_linear": "sent_linear",
-    "sent_angular": "sent_angular",
-    "sent_reason": "reason",
-    "true_x": "x",
-    "true_y": "y",
-    "true_theta": "true_theta",
-    "true_contact": "contact",
-    "true_goal_distance": "goal_distance",
-    "odometry_error": "odom_error",
-}
-"""Keys of info that every task has, and their numbers."""
-CROWD_INFO = {
-    "closest_person": "closest_person",
-    "time_to_collision": "time_to_collision",
-    "intrusions": "intrusions",
-    "person_contact": "person_contact",
-}
-"""Keys of info that tasks have in worlds that move, and their numbers; see `worlds.crowd`."""
-OPTIONAL_INFO = ("world", "scan_age", "scan_stale", "fault", "fault_reason")
-"""Keys of info that some envs have; in a batch their numbers have the same names."""
+class StepInfo(NamedTuple):
+    """What info contains after every step of every task, under the names of the fields.
 
-_HINTS = get_type_hints(State, include_extras=True)
-_SOURCES = {name: getattr(_HINTS[name], "__metadata__", ()) for name in State._fields}
-STATE_NUMBERS = tuple(source for sources in _SOURCES.values() for source in sources)
-"""The numbers of a robot that a State is made of; "read_speed" is four of them."""
-HANDED_OVER = tuple(name for name, sources in _SOURCES.items() if not sources)
-"""The fields of a State that aren't made of numbers, in the order in which makers take them."""
-
-
-def write_maker(read: Callable[[str], str]) -> Callable[..., State]:
-    """Write the function that makes a State; numba can compile it.
-
-    Args:
-        read: returns the expression, over `numbers` and `i`, that reads a number by its name.
-
-    Returns:
-        A function of `numbers`, `i`, and then of what `HANDED_OVER` names.
+    The numbers that only a simulator knows are NaN on hardware. A batch has an array with a row
+    for each robot under each key.
     """
-    values = []
-    for name, sources in _SOURCES.items():
-        value, kind = ", ".join(map(read, sources)), getattr(_HINTS[name], "__origin__", None)
-        if not sources:
-            value = name
-        elif kind is int:
-            value = f"int({value})"
-        elif kind is bool:
-            value = f"{value} > 0.0"
-        elif kind is not float:
-            value = f"({value},)"
-        values.append(value)
-    lines = [
-        f"def make_state(numbers, i, {', '.join(HANDED_OVER)}):",
-        f"    return State({', '.join(values)})",
-    ]
-    made: dict[str, Any] = {"__name__": __name__, "State": State}
-    exec("\n".join(lines), made)  # noqa: S102 - our own
-    maker: Callable[..., State] = made["make_state"]
-    return maker
+
+    is_success: float
+    """Whether the episode has ended at the goal, by odometry."""
+    odom_x: float
+    """Pose by odometry [m]."""
+    odom_y: float
+    """Pose by odometry [m]."""
+    odom_theta: float
+    """Pose by odometry [rad]."""
+    feedback_age: float
+    """Time since the last feedback line of the board [s]."""
+    sent_linear: float
+    """The velocity command of the last tick, after all limits [m/s]."""
+    sent_angular: float
+    """The turn rate of that command [rad/s]."""
+    sent_reason: float
+    """Why it differs from the action: a `safety.layer.Reason`, or 0 if it doesn't differ."""
+    true_x: float
+    """True pose in the odometry frame [m]."""
+    true_y: float
+    """True pose in the odometry frame [m]."""
+    true_theta: float
+    """True pose in the odometry frame [rad]."""
+    true_contact: float
+    """Whether the robot has touched an obstacle."""
+    true_goal_distance: float
+    """Distance from the true pose to the goal [m]."""
+    odometry_error: float
+    """Distance between the pose by odometry and the true pose [m]."""
+
+
+class CrowdInfo(NamedTuple):
+    """What info contains in addition in worlds that move. NaN on hardware. See `worlds.crowd`."""
+
+    closest_person: float
+    """Distance from the robot's hull to the nearest person's, at most 100 [m]."""
+    time_to_collision: float
+    """Time until robot and a person would touch if all kept their velocities, at most 10 [s]."""
+    intrusions: float
+    """How often the robot has come within 0.45 m of somebody in the episode."""
+    person_contact: float
+    """0: none, 1: the robot ran into a person, 2: a person ran into the robot."""
+
+
+OPTIONAL_INFO = ("world", "scan_age", "scan_stale", "fault", "fault_reason")
+"""Keys of info that some envs have."""
+INFO_KEYS = frozenset((*StepInfo._fields, *CrowdInfo._fields, *OPTIONAL_INFO))
+"""All keys of info that don't belong to a task, a user's sensor or a randomized parameter."""

@@ -17,7 +17,7 @@ from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.episode import Spawn
-from acsar_gym.tasks.factory import make_task, validate_task
+from acsar_gym.tasks.factory import make_task
 from acsar_gym.tasks.options import check_count, check_reset_options, read_step_limit
 from acsar_gym.tasks.spec import PlainSpec, task_spaces
 from acsar_gym.tasks.task import Task
@@ -26,7 +26,6 @@ from acsar_gym.vector.options import (
     MAX_ROBOTS,
     BatchOptions,
     ResetOptions,
-    check_faults,
     check_seeds,
     read_reset_options,
 )
@@ -40,36 +39,30 @@ Info = dict[str, Any]
 
 
 class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
-    """Many planar robots with one task; the classes of the registered ids are in `acsar_gym.envs`.
+    """Many planar robots with one task.
 
-    Spaces, reward, end and info are those of the single env, one row a robot. So are commands,
-    latency, motors, tyres, encoders, odometry, LiDAR and worlds: with the same seed and actions a
-    robot does what `link="planar"` does, to 1e-9. Make it with
-
-        gymnasium.make_vec("acsar_gym/Barn-v1", 1024, vectorization_mode="vector_entry_point")
+    The classes of the registered ids are in `acsar_gym.envs`. Spaces, reward, end and info are
+    those of the single env, one row a robot. So are commands, latency, motors, tyres, encoders,
+    odometry, LiDAR and worlds: with the same seed and actions a robot does what `link="planar"`
+    does, to 1e-9. The task has to be compiled, see `acsar_gym.Task`.
 
     Arguments besides those of the single env:
 
-    - `num_envs`: number of robots.
-    - `max_episode_steps`: time limit; registration gives that of the id, None or -1 is none.
-    - `autoreset_mode`: an AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
+    - `num_envs`: Number of robots.
+    - `max_episode_steps`: Time limit. Registration gives that of the id, None or -1 is none.
+    - `autoreset_mode`: An AutoresetMode or its value, "NextStep" (default), "SameStep", "Disabled".
     - `render_mode`: "rgb_array": `render()` returns a picture for each robot, of which the first 16
       are drawn, for `gymnasium.wrappers.vector.RecordVideo`, which tiles them.
-    - `threads`: cores to use, at most; None uses all where there is enough to do. Results don't
-      depend on it.
-    - `faults`: lines that are lost or late, with these fields of `acsar_gym.links.faults.Faults`:
-      dropped_lines, late_lines, lateness, episodes and direction. The same lines as in the single
-      env. Where feedback stays away for longer than the robot's `feedback_timeout` the episode is
-      truncated with `fault` 1 in info, as in the single env. Where it stays away during the reset,
-      the episode is truncated in its first step.
+    - `threads`: Largest number of cores to use. None uses all if there is enough to do. Results
+      don't depend on it.
 
     ## Fleets
 
     With `robot=["acsar", "jackal", "husky"]`, a list of what `RobotConfig.of` takes, or a range of
     drawn robots such as "drawn:train" (see `acsar_gym.config.drawn`), robot i of the batch is
-    number i % (robots of the fleet), for good. Each is what a single env of that robot would be,
-    worlds that fit its footprint included. `fleet` has the configurations, and `config` the first
-    one. All must have the same timing of wire and board, and as many rays where these are observed.
+    always number i % (robots of the fleet). Each is what a single env of that robot would be, with
+    worlds that fit its footprint. `fleet` has the configurations, and `config` the first one. All
+    must have the same timing of wire and board, and as many rays if these are observed.
 
     All worlds, at most 10,000 for each size of footprint, are made when the batch is. Seeds:
     `reset(seed=s)` seeds robot i with s + i, or a list has one seed for each. Every robot has its
@@ -78,11 +71,11 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
     ## Options of a reset
 
     The options of the single env, each as an array with a row for each robot or as one value for
-    all; NaN leaves a robot without the option. Options hold for these robots in all episodes that
-    follow by autoreset, until their next `reset`; a reset without options removes them.
+    all. NaN leaves a robot without the option. Options hold for these robots in all episodes that
+    follow by autoreset, until their next `reset`. A reset without options removes them.
     `set_options` sets them for later episodes without ending any, for instance for a curriculum.
 
-    - `reset_mask`: (num_envs,) booleans, the robots to reset; all where it is missing.
+    - `reset_mask`: (num_envs,) booleans, the robots to reset. Without it all are reset.
     - `world`: (num_envs,) numbers of worlds. `goal`: (num_envs, 2), in the odometry frame [m].
     - `difficulty`: (num_envs, 2), low and high: worlds are drawn among those of the batch whose
       difficulty lies in that range. A batch made with `difficulty=None` has all from 0 to 1.
@@ -91,8 +84,19 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     That of the single env, an array with a row for each robot under each key.
 
-    After Ctrl-C in `reset` or `step` all robots must be reset; with a seed, they then behave like
+    After Ctrl-C in `reset` or `step` all robots must be reset. With a seed, they then behave like
     those of a new batch.
+
+    Example:
+        >>> import gymnasium
+        >>> import acsar_gym
+        >>> batch = gymnasium.make_vec(
+        ...     "acsar_gym/PointGoal-v0", 8, vectorization_mode="vector_entry_point"
+        ... )
+        >>> observations, infos = batch.reset(seed=0)
+        >>> observations.shape
+        (8, 7)
+        >>> batch.close()
     """
 
     closed = True  # until it is made: Gymnasium before 1.3 closes what raised an error in __init__
@@ -112,30 +116,39 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """Make the batch, and all its worlds.
 
         Args:
-            task: a task, its class, or "module:Class".
-            num_envs: number of robots.
-            robot: configuration of every robot, see `RobotConfig.of`; or a fleet, see the class.
-            **options: of the batch, see the class, and of the task.
+            task: A task, its class, or "module:Class".
+            num_envs: Number of robots.
+            robot: Configuration of every robot, see `RobotConfig.of`, or a fleet, see the class.
+            **options: Options of the batch, see the class, and of the task.
 
         Raises:
-            ConfigError, WorldError: for unknown options, or values out of range.
+            ConfigError, WorldError: Options are unknown, or values out of range.
         """
         chosen, task_options = BatchOptions.split(options)
-        if chosen.link != "planar":
-            raise ConfigError(
-                f"link = {show_value(chosen.link)}: a batch has planar robots; for others make_vec "
-                "with vectorization_mode='sync' or 'async'"
-            )
+        for name, needed in (("link", "planar"), ("faults", None)):
+            value = getattr(chosen, name)
+            if value != needed:
+                raise ConfigError(
+                    f"{name} = {show_value(value)}: a batch has planar robots without faults: "
+                    "make_vec with vectorization_mode='sync' or 'async'"
+                )
         self.render_mode = check_render_mode(chosen.render_mode)
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)
+
+        # Robots and their rates.
         fleet = make_fleet(robot, self.num_envs)
-        self.fleet, self.config = fleet.robots, fleet.robots[0]
+        self.fleet = fleet.robots
+        self.config = fleet.robots[0]
         for config in self.fleet:
             config.check_simulated()
-        limit, rate = read_step_limit(chosen.max_episode_steps), chosen.policy_rate
+        rate = chosen.policy_rate
+        control_rate = self.config.control_rate
+        self.ticks_per_step = whole_ratio("control_rate", control_rate, "policy_rate", rate)
         self.autoreset_mode = chosen.autoreset_mode
         modes = {"autoreset_mode": self.autoreset_mode, "render_fps": rate}
         self.metadata = type(self).metadata | modes
+
+        # The task, and for each size of footprint its worlds.
         self.task = make_task(task, task_options, BatchOptions.names())
         by_radius: dict[float, Spawn] = {}
         for config in self.fleet:
@@ -145,39 +158,40 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         spawns = [by_radius[footprint_radius(config)] for config in self.fleet]
         self._spawn = spawns[0]
         self.pool = self._spawn.pool
-        self.ticks_per_step = whole_ratio(
-            "control_rate", self.config.control_rate, "policy_rate", rate
-        )
+
+        # Sensors, and the arrays of all robots.
         sensors = (*self.task.sensors, *chosen.sensors)
         for place in range(1, len(self.fleet) if LIDAR in sensors else 0):
             check_equal(fleet, place, "lidar.rays")  # each is a column of the observation
-        faults, *_ = (check_faults(chosen.faults, config) for config in self.fleet)
+        limit = read_step_limit(chosen.max_episode_steps)
         self.batch = Batch(
             self.num_envs,
             self.fleet,
             self.task,
-            spawns,
-            sensors,
+            spawns=spawns,
+            sensors=sensors,
             ticks=self.ticks_per_step,
             max_steps=math.inf if limit is None else float(limit),
-            faults=faults,
             randomization=chosen.randomization,
         )
         self.sensors = self.batch.sensors
-        validate_task(self.task, self.config, self.sensors)
-        spaces = task_spaces(self.task, self.sensors)
-        self.single_action_space, self.single_observation_space = spaces
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        drawn = self.fleet, self.num_envs, self.task.goal_tolerance
-        self._screen = BatchScreen(*drawn) if self.render_mode is not None else None
+
+        # Spaces.
+        action_space, observation_space = task_spaces(self.task, self.sensors)
+        self.single_action_space = action_space
+        self.single_observation_space = observation_space
+        self.action_space = batch_space(action_space, self.num_envs)
+        self.observation_space = batch_space(observation_space, self.num_envs)
+
+        self._screen: BatchScreen | None = None
+        if self.render_mode is not None:
+            self._screen = BatchScreen(self.fleet, self.num_envs, self.task.goal_tolerance)
         self._threads = Threads(choose_threads(chosen.threads, self.num_envs))
-        self.closed = False
-        self._masks: tuple[str, ...] = ()
         self._done = np.zeros(self.num_envs, np.bool_)
-        self._whole = True
-        """False from the beginning of a call until its end; it stays False where one was
-        interrupted."""
+        self._masks: tuple[str, ...] = ()
+        self._is_intact = True
+        """False during a call. It stays False if the call was interrupted."""
+        self.closed = False
 
     def reset(
         self,
@@ -188,43 +202,45 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """Begin new episodes for all robots, or those in `options["reset_mask"]`.
 
         Args:
-            seed: s seeds robot i with s + i; a list has one seed for each robot; None keeps the
+            seed: s seeds robot i with s + i. A list has one seed for each robot. None keeps the
                 generators.
-            options: see the class; they hold for these robots until they are reset again.
+            options: Options of these robots until they are reset again, see the class.
 
         Returns:
             Observations (num_envs, numbers) and info.
 
         Raises:
-            ConfigError, WorldError: for unknown options, or values that are malformed.
+            ConfigError, WorldError: Options are unknown, or values are malformed.
             ConfigError: The task fails, or returns NaN.
             AcsarError: A sensor fails, or returns NaN.
         """
+        self._check_open("reset")
         mask, fields = self._read_options(options)
-        if not (mask.all() or (self.batch.seeded and self._whole)):
+        if not (mask.all() or (self.batch.seeded and self._is_intact)):
             raise ConfigError(
                 "reset_mask: the first reset, and the next one after an interrupt, must be of all "
                 "robots"
             )
         seeds = check_seeds(seed, self.num_envs)
-        self._whole = False
+
+        self._is_intact = False
         self.batch.seed(seeds, mask)
         self.batch.set_reset_options(fields, mask)
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
-        self._whole = True
+        self._is_intact = True
         if self._screen is not None:
             self._screen.show(self.batch)
         return self.batch.tables.observations.copy(), self._info(mask)
 
     def set_options(self, options: Mapping[str, Any]) -> None:
-        """Set options as in `reset`, for later episodes; running episodes go on.
+        """Set options as in `reset`, for later episodes. Running episodes go on.
 
         Args:
-            options: see the class.
+            options: Options of the robots, see the class.
 
         Raises:
-            ConfigError, WorldError: for unknown options, or values that are malformed.
+            ConfigError, WorldError: Options are unknown, or values are malformed.
         """
         mask, fields = self._read_options(options)
         self.batch.set_reset_options(fields, mask)
@@ -235,9 +251,9 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Waits for the threads of an interrupted call, because the state is written next.
         """
         self._threads.wait()
-        given = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
-        chosen = {name: value for name, value in given.items() if name != MASK_OPTION}
-        mask = given.get(MASK_OPTION)
+        options = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
+        chosen = {name: value for name, value in options.items() if name != MASK_OPTION}
+        mask = options.get(MASK_OPTION)
         mask = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask, order="C")
         if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
             raise ConfigError(f"reset_mask: must be a boolean array of shape ({self.num_envs},)")
@@ -253,45 +269,57 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             Observations (num_envs, numbers), rewards, terminated, truncated (num_envs,), info.
 
         Raises:
-            CommandError: for another shape, NaN, infinity, or what isn't numbers; names the first
-                bad env.
-            ConfigError: before a reset, after an interrupted call, or for an env that has ended.
+            CommandError: An action has another shape, is NaN or infinite, or isn't numbers. The
+                message names the first bad env.
+            ConfigError: Before a reset, after an interrupted call or `close`, or for an env that
+                has ended.
             ConfigError: The task fails, or returns NaN.
             AcsarError: A sensor fails, or returns NaN.
         """
-        batch, tables = self.batch, self.batch.tables
+        self._check_open("step")
+        batch = self.batch
+        tables = batch.tables
         actions = read_actions(actions, (self.num_envs, 2))
         if not batch.seeded:
             raise ConfigError("step() before reset(): call reset() first")
-        if not self._whole:
+        if not self._is_intact:
             raise ConfigError("step() after an interrupted call: reset() all robots first")
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             raise ConfigError(
                 f"env {int(self._done.argmax())} has ended: reset it with options['reset_mask']"
             )
-        self._whole = False
+
+        self._is_intact = False
         tables.actions[:] = actions
-        tables.over[:] = self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done
+        tables.begins[:] = self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done
         batch.step(self._threads.share)
-        terminated, truncated = tables.ends.copy()
+        rewards = tables.rewards.copy()
+        terminated = tables.terminated.copy()
+        truncated = tables.truncated.copy()
         self._done = terminated | truncated
-        rewards, info = tables.rewards.copy(), {}
+
+        info: Info = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             info = self._final_info(self._done)
             batch.reset(self._done, self._threads.share)
-        self._whole = True
+        self._is_intact = True
         if self._screen is not None:
             self._screen.show(batch)
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return tables.observations.copy(), rewards, terminated, truncated, info
 
+    def _check_open(self, method: str) -> None:
+        """Raise ConfigError if the batch is closed."""
+        if self.closed:
+            raise ConfigError(f"{method}() of a closed batch: make a new one")
+
     def render(self) -> tuple[Image, ...] | None:
-        """Return a picture for each robot, (height, width, 3) uint8; None without `render_mode`.
+        """Return a picture for each robot, (height, width, 3) uint8, or None without `render_mode`.
 
         The first 16 robots are drawn from above, the pictures of others are empty.
 
         Raises:
-            ConfigError: before the first reset.
+            ConfigError: Before the first reset.
         """
         if self._screen is None:
             return None

@@ -31,21 +31,28 @@ def seed_row(seed: int | None) -> tuple[int, int, int, int]:
 def row_of(bits: np.random.BitGenerator) -> tuple[int, int, int, int]:
     """Row of a generator with the state of a NumPy PCG64."""
     inner: Any = bits.state["state"]
-    state, increment = inner["state"], inner["inc"]
-    return state >> 64, state & _WORD, increment >> 64, increment & _WORD
-
-
-Lent = tuple[np.random.Generator, tuple[int, ...]]
-"""A NumPy generator, and its row when it was given back."""
+    state = inner["state"]
+    increment = inner["inc"]
+    return (state >> 64, state & _WORD, increment >> 64, increment & _WORD)
 
 
 class LentGenerators(Sequence[np.random.Generator]):
-    """NumPy generators that go on where some rows are, until `give_back` stores their states."""
+    """NumPy generators that go on from the states of some rows, until `give_back` stores theirs.
 
-    def __init__(self, rows: Generators, which: Sequence[int], made: dict[int, Lent]) -> None:
-        """Make no generator yet; each is made when it is first used."""
-        self._rows, self._which, self._made = rows, which, made
-        self._lent: dict[int, np.random.Generator] = {}
+    Args:
+        rows: The generators' rows.
+        which: Numbers of the rows that are lent.
+        generators: NumPy generators by number of the row, which are made when first used. They are
+            kept, because they remember half of a number if 32 bits were drawn.
+    """
+
+    def __init__(
+        self, rows: Generators, which: Sequence[int], generators: dict[int, np.random.Generator]
+    ) -> None:
+        self._rows = rows
+        self._which = which
+        self._generators = generators
+        self._lent: set[int] = set()
 
     def __len__(self) -> int:
         return len(self._which)
@@ -53,52 +60,58 @@ class LentGenerators(Sequence[np.random.Generator]):
     def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return [self[place] for place in range(*index.indices(len(self)))]
-        row = self._which[index]
-        if row not in self._lent:
-            numbers = tuple(self._rows[row].tolist())
-            if row not in self._made:
-                self._made[row] = np.random.Generator(np.random.PCG64(0)), ()
-            generator, left = self._made[row]
-            if numbers != left:  # compiled loops have drawn since
-                state: Any = generator.bit_generator.state
-                state["state"] = {
-                    "state": numbers[0] << 64 | numbers[1],
-                    "inc": numbers[2] << 64 | numbers[3],
-                }
-                generator.bit_generator.state = state
-            self._lent[row] = generator
-        return self._lent[row]
+
+        number = self._which[index]
+        if number not in self._generators:
+            self._generators[number] = np.random.Generator(np.random.PCG64(0))
+        generator = self._generators[number]
+
+        if number not in self._lent:
+            self._lent.add(number)
+            high, low, increment_high, increment_low = self._rows[number].tolist()
+            state: Any = generator.bit_generator.state
+            state["state"] = {
+                "state": high << 64 | low,
+                "inc": increment_high << 64 | increment_low,
+            }
+            generator.bit_generator.state = state
+        return generator
 
     def give_back(self) -> None:
         """Write the states of the generators back into the rows."""
-        if self._lent:
-            left = [row_of(generator.bit_generator) for generator in self._lent.values()]
-            self._rows[list(self._lent)] = np.array(left, np.uint64)
-            self._made.update(
-                zip(self._lent, zip(self._lent.values(), left, strict=True), strict=True)
-            )
-        self._lent = {}
+        for number in self._lent:
+            row = row_of(self._generators[number].bit_generator)
+            self._rows[number] = np.array(row, np.uint64)
+        self._lent = set()
 
 
 @jit
 def _high(a: np.uint64, b: np.uint64) -> np.uint64:
     """Upper half of the 128-bit product of two 64-bit numbers."""
-    a_low, a_high, b_low, b_high = a & _MASK, a >> _HALF, b & _MASK, b >> _HALF
+    a_low = a & _MASK
+    a_high = a >> _HALF
+    b_low = b & _MASK
+    b_high = b >> _HALF
     middle = a_high * b_low + ((a_low * b_low) >> _HALF)
-    other = a_low * b_high + (middle & _MASK)
-    return a_high * b_high + (middle >> _HALF) + (other >> _HALF)
+    upper_middle = a_low * b_high + (middle & _MASK)
+    return a_high * b_high + (middle >> _HALF) + (upper_middle >> _HALF)
 
 
 @jit
 def uniform(generators: Generators, i: int) -> float:
     """The next double in [0, 1) of generator i, equal to `Generator.random()`."""
-    high, low = generators[i, 0], generators[i, 1]
+    # The next state: 128-bit multiplication and addition.
+    high = generators[i, 0]
+    low = generators[i, 1]
     new_low = low * _MULTIPLIER_LOW
     new_high = _high(low, _MULTIPLIER_LOW) + high * _MULTIPLIER_LOW + low * _MULTIPLIER_HIGH
     low = new_low + generators[i, 3]
     carry = np.uint64(1) if low < new_low else np.uint64(0)
     high = new_high + generators[i, 2] + carry
-    generators[i, 0], generators[i, 1] = high, low
+    generators[i, 0] = high
+    generators[i, 1] = low
+
+    # Its halves, folded and rotated.
     word = high ^ low
     turn = high >> np.uint64(58)
     word = (word >> turn) | (word << ((np.uint64(64) - turn) & np.uint64(63)))

@@ -15,15 +15,17 @@ from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.vector.batch import Batch
 from acsar_gym.worlds.world import to_world
 
-MAX_PICTURES = 16  # robots that are drawn, at most; the pictures of the others are empty
-TILE_SIDE = 240  # width and height of a robot's picture [pixels]
+MAX_PICTURES = 16
+"""Most robots that are drawn. The pictures of the others are empty."""
+TILE_SIDE = 240
+"""Width and height of a robot's picture [pixels]."""
 LARGEST_SIDE = 1920
 """Of all pictures as a square, which Gymnasium's recorder makes of them [pixels]."""
 SMALLEST_SIDE = 64
 EMPTY_COLOUR = (231, 233, 236)
 FIELDS = (
     *("steps", "start_x", "start_y", "start_theta", "goal_x", "goal_y", "world", "kind"),
-    *("odom_x", "odom_y", "odom_theta", "x", "y", "theta"),
+    *("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "theta"),
 )
 Image = NDArray[np.uint8]  # (height, width, 3), RGB
 Point = tuple[float, float]
@@ -45,7 +47,9 @@ class BatchScreen:
     """Records the paths of a batch's first robots and draws them on request."""
 
     def __init__(self, fleet: Sequence[RobotConfig], robots: int, tolerance: float) -> None:
-        self._fleet, self._robots, self._tolerance = fleet, robots, tolerance
+        self._fleet = fleet
+        self._robots = robots
+        self._tolerance = tolerance
         self._drawn = min(robots, MAX_PICTURES)
         columns = math.isqrt(robots - 1) + 1
         side = min(TILE_SIDE, max(SMALLEST_SIDE, LARGEST_SIDE // columns // 2 * 2))
@@ -69,7 +73,7 @@ class BatchScreen:
                 true_path.clear()
             start = state["start_x"], state["start_y"], state["start_theta"]
             odom_path.append(to_world(start, (state["odom_x"], state["odom_y"], 0.0))[:2])
-            true_path.append(to_world(start, (state["x"], state["y"], 0.0))[:2])
+            true_path.append(to_world(start, (state["true_x"], state["true_y"], 0.0))[:2])
             self._movers[robot] = batch.copy_movers(robot, int(state["world"]))
 
     def pictures(self, batch: Batch) -> tuple[Image, ...]:
@@ -95,7 +99,7 @@ class BatchScreen:
         frame = TopViewFrame(
             world=batch.worlds[int(state["world"])] if batch.worlds else None,
             odom=to_world(start, (state["odom_x"], state["odom_y"], state["odom_theta"])),
-            truth=to_world(start, (state["x"], state["y"], state["theta"])),
+            truth=to_world(start, (state["true_x"], state["true_y"], state["theta"])),
             goal=to_world(start, (state["goal_x"], state["goal_y"], 0.0))[:2],
             goal_radius=self._tolerance,
             odom_path=self._paths[robot][0],

@@ -13,30 +13,43 @@ from stable_baselines3 import PPO
 
 import acsar_gym
 from acsar_gym import Outcome, State
+from acsar_gym.jit import compilable
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.policies import OnnxPolicy, save, sb3
 
 
+@compilable
+def distance_to_goal(state: State) -> float:
+    """Distance to the goal by odometry [m]."""
+    return math.hypot(state.goal[0] - state.pose[0], state.goal[1] - state.pose[1])
+
+
 class Parking(acsar_gym.Task):
-    """Stand still on a point of an open floor; to cross it isn't enough."""
+    """Stand still on a point of an open floor. To cross it isn't enough."""
+
+    compiled = True  # for the batch
 
     observation = {"ahead": (-20, 20), "left": (-20, 20), "speed": (-2, 2), "turning": (-4, 4)}
     memory = {"distance": 0.0}
 
     def begin(self, state: State, memory: Any) -> None:
-        memory.distance = math.dist(state.goal, state.pose[:2])
+        memory.distance = distance_to_goal(state)
 
     def outcome(self, state: State, memory: Any) -> Outcome:
-        near = math.dist(state.goal, state.pose[:2]) < 0.15
-        return Outcome.SUCCESS if near and abs(state.twist[0]) < 0.05 else Outcome.GOING
+        is_near = distance_to_goal(state) < 0.15
+        return Outcome.SUCCESS if is_near and abs(state.twist[0]) < 0.05 else Outcome.GOING
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        before, memory.distance = memory.distance, math.dist(state.goal, state.pose[:2])
-        return float(2 * (before - memory.distance) - 0.02 + 2 * (outcome == Outcome.SUCCESS))
+        distance = distance_to_goal(state)
+        gain = memory.distance - distance
+        memory.distance = distance
+        return 2 * gain - 0.02 + 2 * (outcome == Outcome.SUCCESS)
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
-        (x, y), (at_x, at_y, theta) = state.goal, state.pose
-        distance, bearing = math.hypot(x - at_x, y - at_y), math.atan2(y - at_y, x - at_x) - theta
+        dx = state.goal[0] - state.pose[0]
+        dy = state.goal[1] - state.pose[1]
+        distance = distance_to_goal(state)
+        bearing = math.atan2(dy, dx) - state.pose[2]
         return distance * math.cos(bearing), distance * math.sin(bearing), *state.twist
 
 

@@ -21,7 +21,8 @@ from tapes import TtyReplayLink, playing, recorded
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LinkError
 from acsar_gym.lidar.scan import Revolution
-from acsar_gym.worlds import Scene, registry
+from acsar_gym.sensors import SensorInput
+from acsar_gym.worlds import registry
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 PAGES = {name: DOCS / f"your-own-{name}.md" for name in ("task", "sensor", "robot", "world")}
@@ -152,15 +153,24 @@ def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
     sensor.device = os.ttyname(device)
     talking = threading.Timer(0.1, os.write, (board, b"9 9\n1.5 0.3 6.0\n"))
     talking.start()
-    sensor.reset(Scene(), np.random.default_rng(0))
+
+    def read(now: float) -> Any:
+        nothing = np.full((1, 3), np.nan)
+        clock = np.array([now])
+        robots = SensorInput(nothing, nothing, nothing, now=clock, scenes=[], rngs=[], memory=0)
+        out = np.zeros((1, 3))
+        sensor.read(robots, out)
+        return out[0]
+
+    sensor.reset(None)
     sensor.poll(None, 1.0)
-    np.testing.assert_allclose(sensor.read(None, 1.0), [0.5, 0.1, 1.0])
+    np.testing.assert_allclose(read(1.0), [0.5, 0.1, 1.0])
     os.write(board, b"3.0 0.6 0.6\n0.")
     while sensor.fresh != 1.2:  # until the terminal has passed on the line
         sensor.poll(None, 1.2)
-    np.testing.assert_allclose(sensor.read(None, 1.2), [1.0, 0.2, 0.2])
+    np.testing.assert_allclose(read(1.2), [1.0, 0.2, 0.2])
     with pytest.raises(LinkError, match="silent"):
-        sensor.read(None, 1.9)
+        read(1.9)
     sensor.close()
     os.close(board)
     os.close(device)

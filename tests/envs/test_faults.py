@@ -1,51 +1,99 @@
-"""Faults of links and boards in the env: what ends an episode, and what goes on."""
+"""Faults of links, boards and LiDARs in the env: what ends an episode, and what continues."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from env_tools import LINKS, inner, make
+from env_tools import LINKS, SEEING, Make, inner
 from failing_link import FailingLink
 
-from acsar_gym import open_link
-from acsar_gym.errors import LinkError
+from acsar_gym import RobotConfig, open_link
+from acsar_gym.errors import LidarError, LinkError
+from acsar_gym.lidar.scan import Revolution
+from acsar_gym.worlds import Scene
+
+TURN = np.array([0.0, 0.2], np.float32)
+AHEAD = np.array([1.0, 0.0], np.float32)
 
 
 @pytest.mark.parametrize(("silent", "code"), [(True, 1.0), (False, 3.0)])
 @pytest.mark.parametrize("link", LINKS)
 def test_a_fault_truncates_the_episode_and_the_next_reset_recovers(
-    link: str, silent: bool, code: float
+    link: str, silent: bool, code: float, make: Make
 ) -> None:
-    failing = FailingLink(open_link(link), 1.0, silent=silent)
-    env = make("acsar_gym/PointGoal-v0", failing)
+    env = make(link=FailingLink(open_link(link), 1.0, silent=silent))
     for _ in range(2):
         env.reset(seed=0)
-        truncated, steps = False, 0
-        while not truncated:
-            *_, terminated, truncated, info = env.step(np.array([0.0, 0.2], np.float32))
+        ends: list[bool] = []
+        while not any(ends):
+            *_, terminated, truncated, info = env.step(TURN)
             assert not terminated
-            steps += 1
+            ends.append(truncated)
         assert info["fault"] == code
-        assert 10 <= steps < 20
+        assert 10 <= len(ends) < 20
         assert not inner(env).robot.active
-    env.close()
 
 
-def test_faults_can_be_raised_instead() -> None:
-    failing = FailingLink(open_link("planar"), 0.3)
-    env = make("acsar_gym/PointGoal-v0", failing, on_fault="raise")
+def test_faults_can_be_raised_instead(make: Make) -> None:
+    env = make(link=FailingLink(open_link("planar"), 0.3), on_fault="raise")
     env.reset(seed=0)
     with pytest.raises(LinkError):
         for _ in range(20):
-            env.step(np.array([0.5, 0.0], np.float32))
-    env.close()
+            env.step(TURN)
 
 
-def test_lost_and_late_lines_end_no_episode() -> None:
-    env = make("acsar_gym/PointGoal-v0", faults={"dropped_lines": 0.1, "late_lines": 0.1})
+def test_lost_and_late_lines_end_no_episode(make: Make) -> None:
+    env = make(faults={"dropped_lines": 0.1, "late_lines": 0.1})
     _, info = env.reset(seed=0)
     for _ in range(20):
         assert info["fault"] == 0.0
-        *_, truncated, info = env.step(np.array([0.5, 0.0], np.float32))
+        *_, truncated, info = env.step(TURN)
         assert not truncated
+
+
+class FailingLidar:
+    """A LiDAR that falls silent after some scans, all of which are of time 0."""
+
+    def __init__(self, scans: int) -> None:
+        self.remaining = scans
+        self.closed = False
+
+    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+        """Nothing to begin."""
+
+    def scan(self) -> Revolution:
+        self.remaining -= 1
+        if self.remaining < 0:
+            raise LidarError("the LiDAR is silent", "check its cable")
+        return Revolution(np.zeros(1), np.ones(1), np.zeros(1), 0.0)
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_silent_lidar_stops_the_robot(make: Make) -> None:
+    lidar = FailingLidar(15)
+    env = make(SEEING[0], lidar=lidar)
+    env.reset(seed=0)
+    env.step(AHEAD)
+    *result, info = env.step(AHEAD)
+    assert (result[1:], info["fault"]) == ([0.0, False, True], 4.0)
+    assert "LiDAR" in info["fault_reason"]
+    assert not inner(env).robot.active
+    with pytest.raises(LinkError, match="reset"):
+        env.step(AHEAD)
     env.close()
+    assert lidar.closed
+
+
+def test_scans_come_at_the_lidars_own_rate_and_stale_scans_are_marked(make: Make) -> None:
+    quiet = RobotConfig.preset("acsar").with_(lidar={"noise": 0.0, "rate": 4.0})
+    env = make(SEEING[0], robot=quiet)
+    env.reset(seed=0)
+    ages = [env.step(0.0 * AHEAD)[4]["scan_age"] for _ in range(10)]
+    assert ages[0] not in (0.0, 0.1)  # the phase is drawn
+    assert ages == pytest.approx((ages[0] + 0.1 * np.arange(10)) % 0.25, abs=1e-9)
+
+    env = make(SEEING[0], lidar=FailingLidar(1000))
+    env.reset(seed=0)
+    assert [env.step(0.0 * AHEAD)[4]["scan_stale"] for _ in range(4)] == [0.0, 1.0, 1.0, 1.0]

@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from env_tools import IDS, inner, make
+from env_tools import IDS, POINT_GOAL, Make, inner
 from gymnasium.envs.registration import EnvSpec
 
 from acsar_gym import RobotConfig
@@ -18,17 +18,18 @@ from acsar_gym.registration import snake_case
 from acsar_gym.resources import AGENTS
 
 ROBOT = RobotConfig.preset("acsar").with_(max_linear=0.7, lidar={"rays": 33})
-ARRAYS: dict[str, Any] = {
+VALUES: dict[str, Any] = {
     "goal_distance": np.array([0.5, 2.0]),
     "goal_tolerance": np.float32(0.25),
     "randomization": Randomization(mass=(1, 2)),
+    "weights": {"progress": np.float64(3.0)},
 }
 
 
 @pytest.mark.parametrize(
-    ("env_id", "options"), [*((env_id, {}) for env_id in IDS), ("acsar_gym/PointGoal-v0", ARRAYS)]
+    ("env_id", "options"), [*((env_id, {}) for env_id in IDS), (POINT_GOAL, VALUES)]
 )
-def test_a_spec_goes_through_json(env_id: str, options: dict[str, Any]) -> None:
+def test_a_spec_goes_through_json(env_id: str, options: dict[str, Any], make: Make) -> None:
     env = make(env_id, robot=ROBOT, faults=Faults(dropped_lines=0.01), **options)
     assert env.spec is not None
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
@@ -36,28 +37,27 @@ def test_a_spec_goes_through_json(env_id: str, options: dict[str, Any]) -> None:
     assert inner(again).robot.config == inner(env).robot.config == ROBOT
     assert vars(inner(again).task) == vars(inner(env).task)
     assert again.observation_space == env.observation_space
-    (seen, told), (expected, info) = (one.reset(seed=5) for one in (again, env))
-    assert (seen == expected).all()
-    assert told.get("drawn_mass") == info.get("drawn_mass")
-    for one in (again, env):
-        one.close()
+    assert repr(again.reset(seed=5)) == repr(env.reset(seed=5))
+    again.close()
 
 
 def test_a_batchs_spec_goes_through_json() -> None:
-    many: Any = gymnasium.make_vec(
-        "acsar_gym/PointGoal-v0", 2, vectorization_mode="vector_entry_point", robot=ROBOT
+    batch: Any = gymnasium.make_vec(
+        POINT_GOAL, 2, vectorization_mode="vector_entry_point", robot=ROBOT
     )
-    assert EnvSpec.from_json(many.spec.to_json()).kwargs["robot"] == ROBOT.model_dump(mode="json")
-    many.close()
+    assert EnvSpec.from_json(batch.spec.to_json()).kwargs["robot"] == ROBOT.model_dump(mode="json")
+    batch.close()
 
 
 @pytest.mark.parametrize("env_id", IDS)
-def test_an_id_has_a_reward_threshold_where_a_policy_comes_along(env_id: str) -> None:
-    """Below what that policy reaches; a straight drive doesn't. Among people nobody solves all."""
+def test_an_id_has_a_reward_threshold_if_its_packaged_policy_solves_it(env_id: str) -> None:
+    """Below what that policy reaches. No policy solves the ids with people."""
     threshold = gymnasium.spec(env_id).reward_threshold
     name = snake_case(env_id.removeprefix("acsar_gym/").partition("-")[0])
-    solved = (AGENTS / "policies" / f"{name}.onnx").exists() and name not in ("crowd", "dyna_barn")
-    assert (threshold is not None) == solved
-    manual = inspect.getdoc(type(make(env_id).unwrapped)) or ""
-    told = f"`reward_threshold` {threshold:g}" if threshold else "`reward_threshold`"
-    assert (told in manual) == (threshold is not None)
+    has_policy = (AGENTS / "policies" / f"{name}.onnx").exists()
+    assert (threshold is not None) == (has_policy and name not in ("crowd", "dyna_barn"))
+    manual = inspect.getdoc(
+        gymnasium.envs.registration.load_env_creator(str(gymnasium.spec(env_id).entry_point))
+    )
+    text = f"`reward_threshold` {threshold:g}." if threshold else "`reward_threshold`"
+    assert (text in str(manual)) == (threshold is not None)

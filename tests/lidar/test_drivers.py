@@ -12,12 +12,12 @@ from lidar_twins import MAKERS
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError
 from acsar_gym.lidar.drivers import find_drivers
+from acsar_gym.lidar.factory import open_lidar
 from acsar_gym.lidar.scan import Revolution
 from acsar_gym.lidar.serial import SerialLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.recorded import RecordedLink
-from acsar_gym.sensors.suite import open_lidar
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")

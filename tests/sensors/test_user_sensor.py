@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from numpy.typing import NDArray
 from range_finder import REACH, ThreeRays, three_rays
 from serial_tools import Emulated, no_leak
 
@@ -21,7 +20,6 @@ from acsar_gym.errors import AcsarError, LinkError
 from acsar_gym.links.base import Link
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks import ObstacleGoal, PointGoal
-from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Region
 
 WALL = World(
@@ -35,7 +33,7 @@ Make = Callable[..., RobotEnv]
 
 @pytest.fixture
 def make() -> Iterator[Make]:
-    """`make(link, *sensors, lidar=False, ...)` is an env before a wall; closed with the test."""
+    """`make(link, *sensors, sees=False, ...)` is an env before a wall; closed with the test."""
     made: list[RobotEnv] = []
 
     def begin(link: str, *sensors: Any, sees: bool = False, **options: Any) -> RobotEnv:
@@ -74,9 +72,9 @@ def test_the_checker_finds_nothing_and_noise_repeats_with_the_seed(make: Make) -
     space: Any = env.observation_space
     assert (space.low[-3:].tolist(), space.high[-3:].tolist()) == ([0.0] * 3, [1.0] * 3)
     check_env(env, skip_render_check=True)
-    seen = [(env.reset(seed=seed)[0], env.step(FORWARD)[0]) for seed in (1, 1, 2)]
-    assert np.array_equal(seen[0], seen[1])
-    assert not np.array_equal(seen[0], seen[2])
+    steps = [(env.reset(seed=seed)[0], env.step(FORWARD)[0]) for seed in (1, 1, 2)]
+    assert np.array_equal(steps[0], steps[1])
+    assert not np.array_equal(steps[0], steps[2])
 
 
 @pytest.mark.parametrize("factory", [ThreeRays, three_rays])
@@ -86,28 +84,48 @@ def test_its_spec_is_plain_and_makes_an_equal_env(factory: Any) -> None:
     assert f'"range_finder:{factory.__name__}"' in env.spec.to_json()
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert (again.reset(seed=1)[0] == env.reset(seed=1)[0]).all()
-    local = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[broken(None)])
-    assert local.spec is not None
-    assert gymnasium.make(local.spec).observation_space == env.observation_space
-    for one in (env, again, local):
-        one.close()
+    env.close()
+    again.close()
+
+
+class NearBumper(Sensor):
+    """Uses the LiDAR and odometry."""
+
+    name, size = "near_bumper", 2
+    needs = ("lidar",)
+
+    def read(self, robots: Any, out: Any) -> None:
+        lidar: Any = self.needed["lidar"]
+        out[0] = (lidar.scan.ranges.min(), self.odometry.pose[0])
+
+
+def test_it_can_use_the_lidar_and_odometry(make: Make) -> None:
+    env = make("planar", NearBumper, sees=True)
+    env.reset(seed=0)
+    observation, *_, info = env.step(FORWARD)
+    nearest = observation[-66:-2].min() * env.robot.config.lidar.max_range
+    assert observation[-2:] == pytest.approx([nearest, info["odom_x"]], rel=1e-6)
+    with pytest.raises(AcsarError, match="the robot has no 'lidar', which it needs"):
+        make("planar", NearBumper)
 
 
 class Thermometer(Sensor):
-    """What measures on the real robot, with a clock of its own."""
+    """Measures on the real robot, with a clock of its own."""
 
     name, size, low, high = "thermometer", 2, 0.0, 100.0
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
         super().__init__(link, config)
-        self.polls, self.closed = 0, 0
+        self.polls = 0
+        self.closed = 0
 
-    def poll(self, truth: GroundTruth | None, now: float) -> None:
+    def poll(self, truth: Any, now: float) -> None:
+        assert truth is None
         self.polls += 1
 
-    def read(self, truth: GroundTruth | None, now: float) -> NDArray[np.int64]:
-        assert truth is None
-        return np.array([20, min(self.polls, 100)])
+    def read(self, robots: Any, out: Any) -> None:
+        assert np.isnan(robots.pose).all()
+        out[0] = (20, min(self.polls, 100))
 
     def close(self) -> None:
         self.closed += 1
@@ -119,7 +137,7 @@ def by_link(link: Link, config: RobotConfig) -> Sensor:
 
 
 @pytest.mark.usefixtures("deadline")
-def test_a_real_robot_may_have_another_one(
+def test_a_real_robot_may_have_another_sensor(
     make: Make, emulator: Emulated, config: RobotConfig
 ) -> None:
     with no_leak():
@@ -136,40 +154,41 @@ def test_a_real_robot_may_have_another_one(
     assert make("planar", by_link).robot.sensors[0].name == "three_rays"
 
 
-def broken(what: Any) -> type[Sensor]:
+def broken(numbers: Any) -> type[Sensor]:
     """Fails from the fifth reading on."""
 
     class Broken(ThreeRays):
-        left = 5
+        remaining = 5
 
-        def read(self, truth: GroundTruth | None, now: float) -> Any:
-            self.left -= 1
-            if self.left > 0:
-                return super().read(truth, now)
-            if isinstance(what, Exception):
-                raise what
-            return what
+        def read(self, robots: Any, out: Any) -> None:
+            self.remaining -= 1
+            if self.remaining > 0:
+                super().read(robots, out)
+            elif isinstance(numbers, Exception):
+                raise numbers
+            elif numbers is not None:
+                out[:] = numbers
 
     return Broken
 
 
 @pytest.mark.parametrize(
-    ("what", "message"),
+    ("numbers", "message"),
     [
-        (np.zeros((3, 1)), r"shape \(3, 1\)"),
-        (["a", "b", "c"], "must be numbers"),
+        (np.zeros(4), "broadcast"),
+        (None, r"\[nan, nan, nan\]: must fill out"),
         ([0.5, np.nan, 0.5], r"\[0.5, nan, 0.5\]"),
         (ValueError("too hot"), r"ValueError: too hot \(.*/test_user_sensor.py:\d+\)"),
-        (LinkError("the sonar is silent", "check its cable"), None),
+        (LinkError("the sonar is silent", "check its cable"), ""),
     ],
 )
-def test_what_it_cannot_give_stops_the_robot(make: Make, what: Any, message: str | None) -> None:
+def test_what_it_cannot_give_stops_the_robot(make: Make, numbers: Any, message: str) -> None:
     """A device that falls silent ends the episode; anything else is an error."""
-    env = make("planar", broken(what))
+    env = make("planar", broken(numbers))
     env.reset(seed=0)
     for _ in range(3):
         env.step(FORWARD)
-    if message is None:
+    if not message:
         *_, truncated, info = env.step(FORWARD)
         assert truncated
         assert info["fault_reason"] == "the sonar is silent: check its cable"

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 from task_tools import ACSAR, Played
 
+from acsar_gym import RobotEnv
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import outline_radius
 from acsar_gym.errors import ConfigError
 from acsar_gym.sensors.map.movers import MOST_RADIUS, MOVER_NAMES
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MAP_NAMES, log_share
 from acsar_gym.tasks import Crowd, DynaBarn, ObstacleGoal, Task
-from acsar_gym.tasks.crowd import CROWDING_COST, TOP_SPEED
+from acsar_gym.tasks.crowd import TOP_SPEED
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.crowd import PERSONAL_SPACE
 from acsar_gym.worlds.movers import walk
@@ -43,7 +44,7 @@ def sensed(gap: float | None = None, bearing: float = 0.0, radius: float = 0.25)
 
 
 @pytest.mark.parametrize(
-    ("known", "share"),
+    ("person", "share"),
     [
         ({}, 0.0),
         ({"gap": 3.0}, 0.0),
@@ -54,12 +55,12 @@ def sensed(gap: float | None = None, bearing: float = 0.0, radius: float = 0.25)
         ({"gap": -0.1}, 1.0),
     ],
 )
-def test_the_personal_space_of_who_is_observed_costs_reward(
-    known: dict[str, float], share: float
+def test_the_personal_space_of_observed_people_costs_reward(
+    person: dict[str, float], share: float
 ) -> None:
     plain = Played(ObstacleGoal(), {}, WORLD).step(sensed=sensed())[0]
-    paid = Played(Crowd(), {}, WORLD).step(sensed=sensed(**known))[0]
-    assert plain - paid == pytest.approx(CROWDING_COST * share)
+    paid = Played(Crowd(), {}, WORLD).step(sensed=sensed(**person))[0]
+    assert plain - paid == pytest.approx(Crowd.weights.crowding * share)
 
 
 @pytest.mark.parametrize(("task", "cost"), [(Crowd(), 15.0), (DynaBarn(), 30.0)])
@@ -70,33 +71,32 @@ def test_what_a_collision_costs(task: Task, cost: float) -> None:
 
 
 @pytest.mark.parametrize("robot", ["acsar", "jackal"])
-def test_what_is_paid_for_is_where_somebody_is(robot: str) -> None:
-    """Somebody walks past the side of a robot that stands."""
-    reach, radius, least = outline_radius(RobotConfig.preset(robot).outline), 0.25, 0.15
-    beside = reach + radius + least
-    passing = walk([[-3.0, beside], [3.0, beside]], 0.8, radius=radius)
+def test_crowding_follows_from_the_true_gap(robot: str) -> None:
+    """A person walks past the side of a robot at rest."""
+    reach = outline_radius(RobotConfig.preset(robot).outline)
+    y = reach + 0.25 + 0.15
+    passing = walk([[-3.0, y], [3.0, y]], 0.8, radius=0.25)
     world = replace(WORLD, movers=[passing])
-    envs: list[Any] = [
-        gymnasium.make(f"acsar_gym/{kind}", link="planar", robot=robot, worlds=world)
-        for kind in ("Crowd-v0", "ObstacleGoal-v1")
-    ]
-    for env in envs:
-        env.reset(seed=0)
-    crowding, expected = [], []
+    env: Any = gymnasium.make("acsar_gym/Crowd-v0", link="planar", robot=robot, worlds=world)
+    plain = gymnasium.make("acsar_gym/Crowd-v0", weights={"crowding": 0.0}, **env.spec.kwargs)
+    env.reset(seed=0)
+    plain.reset(seed=0)
+
+    costs = []
+    expected = []
     for _ in range(70):
-        paid, plain = (float(env.step(np.zeros(2, np.float32))[1]) for env in envs)
-        crowding.append((plain - paid) / CROWDING_COST)
-        truth = envs[0].unwrapped.robot.link.truth
-        gap = math.hypot(*truth.crowd.states[0, :2]) - reach - radius
+        rewards = [float(env.step(np.zeros(2, np.float32))[1]) for env in (env, plain)]
+        costs.append((rewards[1] - rewards[0]) / Crowd.weights.crowding)
+        place = env.unwrapped.robot.link.truth.crowd.states[0, :2]
+        gap = math.hypot(*place) - reach - 0.25
         expected.append(1.0 - min(max(gap / PERSONAL_SPACE, 0.0), 1.0))
-    for env in envs:
-        env.close()
+    env.close()
+    plain.close()
     assert max(expected) > 0.6
-    assert crowding == pytest.approx(expected, abs=0.06)
+    assert costs == pytest.approx(expected, abs=0.06)
 
 
 def test_a_task_among_people_must_sense_them() -> None:
-    with pytest.raises(
-        ConfigError, match=r"Blind\.sensors = \('map', 'lidar'\): must name 'movers'"
-    ):
-        type("Blind", (Crowd,), {"sensors": ("map", "lidar")})
+    blind = type("Blind", (Crowd,), {"id": "", "sensors": ("map", "lidar")})
+    with pytest.raises(ConfigError, match=r"sensors = \('map', 'lidar'\): must name 'movers'"):
+        RobotEnv(blind, link="planar")

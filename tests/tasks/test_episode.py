@@ -9,33 +9,34 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError, WorldError
-from acsar_gym.tasks.episode import draw_in_world
+from acsar_gym.tasks.episode import Assignment, draw_in_world
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.world import to_world
 
-WIDE = World(start=Region(-4.0, 1.0, 0.5), goal=Region(4.0, -1.0, 1.0), name="wide")
+
+def draw(source: Any, count: int, *, follow: bool = False, **options: Any) -> list[Assignment]:
+    rng = np.random.default_rng(0)
+    pool = Pool.of(source)
+    return [draw_in_world(pool, rng, options, follow=follow) for _ in range(count)]
 
 
 def test_starts_and_goals_fill_their_regions() -> None:
-    rng, pool = np.random.default_rng(0), Pool.of(WIDE)
-    starts, goals, headings = [], [], []
-    for _ in range(400):
-        x, y, heading = draw_in_world(pool, rng, {}).start
-        headings.append(heading)
-        starts.append(math.dist((x, y), (WIDE.start.x, WIDE.start.y)))
-        goals.append(draw_in_world(pool, rng, {}).goal)
-    assert 0.45 < max(starts) <= 0.5
-    assert np.mean(np.array(starts) < 0.5 / math.sqrt(2.0)) == pytest.approx(0.5, abs=0.08)
-    counts, _ = np.histogram(np.mod(headings, math.tau), 4, (0.0, math.tau))
-    assert counts.min() > 60
-    distances = np.hypot(*np.array(goals).T)
+    wide = World(start=Region(-4.0, 1.0, 0.5), goal=Region(4.0, -1.0, 1.0), name="wide")
+    draws = draw(wide, 800)
+    starts = np.array([assignment.start for assignment in draws])
+    from_middle = np.hypot(starts[:, 0] - wide.start.x, starts[:, 1] - wide.start.y)
+    assert 0.45 < from_middle.max() <= 0.5
+    assert np.mean(from_middle < 0.5 / math.sqrt(2.0)) == pytest.approx(0.5, abs=0.08)
+    headings, _ = np.histogram(np.mod(starts[:, 2], math.tau), 4, (0.0, math.tau))
+    assert headings.min() > 120
+    distances = np.hypot(*np.array([assignment.goal for assignment in draws]).T)
     assert distances.min() > math.hypot(8.0, 2.0) - 1.5
     assert distances.max() < math.hypot(8.0, 2.0) + 1.5
 
 
 @pytest.mark.parametrize(
-    ("source", "options", "named"),
+    ("source", "options", "message"),
     [
         ("open:5", {"world": 5}, "world 5: must be of open 0 to 4"),
         ("open:5", {"world": 2.5}, "world"),
@@ -43,44 +44,46 @@ def test_starts_and_goals_fill_their_regions() -> None:
         (["open:5", "rooms:5"], {"world": 2}, "world 2: must be a name like 'clutter 17'"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_clear_error(
-    source: Any, options: dict[str, Any], named: str
+def test_wrong_options_are_one_clear_error(
+    source: Any, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises((ConfigError, WorldError), match=named) as caught:
-        draw_in_world(Pool.of(source), np.random.default_rng(0), options)
+    with pytest.raises((ConfigError, WorldError), match=message) as caught:
+        draw(source, 1, **options)
     assert "\n" not in str(caught.value)
 
 
 def test_among_several_sets_a_world_is_chosen_and_reported_by_its_name() -> None:
-    pool = Pool.of(["open:5", "rooms:5"])
-    drawn = draw_in_world(pool, np.random.default_rng(0), {"world": "rooms 3"})
-    assert (drawn.world_key, drawn.info) == ("rooms 3", {})
-    rng = np.random.default_rng(0)
-    kinds = {str(draw_in_world(pool, rng, {}).world_key).partition(" ")[0] for _ in range(20)}
+    sources = ["open:5", "rooms:5"]
+    (assignment,) = draw(sources, 1, world="rooms 3")
+    assert (assignment.world_key, assignment.info) == ("rooms 3", {})
+    kinds = {str(assignment.world_key).partition(" ")[0] for assignment in draw(sources, 20)}
     assert kinds == {"open", "rooms"}
 
 
-def test_worlds_do_not_move() -> None:
-    """Every episode gets the pool's own world, and says where in it the robot starts."""
-    rng, pool = np.random.default_rng(0), Pool.of("clutter:2")
-    for follow in (False, True):
-        for _ in range(5):
-            assignment = draw_in_world(pool, rng, {}, follow=follow)
-            world = pool[assignment.world_key]
-            assert assignment.world is world
-            assert world.path is not None
-            place = to_world(assignment.start, (*assignment.goal, 0.0))
-            assert place[:2] == pytest.approx((world.goal.x, world.goal.y))
-            assert assignment.start[:2] == pytest.approx(world.path[0])
-    given = World(start=Region(-4.0, 1.0), goal=Region(4.0, -1.0))
-    worlds = [draw_in_world(pool, rng, {"world": given}).world for _ in range(2)]
-    assert worlds[0] is worlds[1], "nothing has to be built again"
+@pytest.mark.parametrize("follow", [False, True])
+def test_every_episode_gets_the_worlds_of_the_pool(follow: bool) -> None:
+    """Nothing has to be built again, and the start is a place in the world."""
+    worlds: dict[Any, World | None] = {}
+    for assignment in draw("clutter:2", 10, follow=follow):
+        world = assignment.world
+        assert worlds.setdefault(assignment.world_key, world) is world
+        assert world is not None
+        assert world.path is not None
+        place = to_world(assignment.start, (*assignment.goal, 0.0))
+        assert place[:2] == pytest.approx((world.goal.x, world.goal.y))
+        assert assignment.start[:2] == pytest.approx(world.path[0])
+
+
+def test_a_world_of_the_user_stays_the_same_object() -> None:
+    world = World(start=Region(-4.0, 1.0), goal=Region(4.0, -1.0))
+    first, second = draw("clutter:2", 2, world=world)
+    assert first.world is second.world
 
 
 def test_a_path_is_followed_from_its_own_start_to_its_own_end() -> None:
     path = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]])
     world = World(start=Region(0.0, 0.0), goal=Region(5.0, 5.0, 0.5), path=path)
-    assignment = draw_in_world(Pool.of(world), np.random.default_rng(0), {}, follow=True)
+    (assignment,) = draw(world, 1, follow=True)
     assert assignment.goal == pytest.approx((1.0, 1.0))
     assert assignment.path is not None
     assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0])

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
+import numba
 import numpy as np
 import pytest
 from mover_tools import HALL
 from varied import RANGES
 
-from acsar_gym import RobotConfig, World
-from acsar_gym.envs.ids import full_id
-from acsar_gym.errors import LinkError
+from acsar_gym import RobotConfig, State, World
+from acsar_gym.envs.ids import full_id, make_vec
 from acsar_gym.registration import snake_case
+from acsar_gym.vector.kernel.task import state_of
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.movers import Repeat, walk
 from acsar_gym.worlds.world import make_rectangle
@@ -145,11 +146,6 @@ FLEETS: dict[str, tuple[str, Any, dict[str, Any]]] = {
         [ACSAR, "husky", ACSAR.with_(firmware={"delay_samples": [0.01, 0.02, 0.03]})],
         {"randomization": True},
     ),
-    "lost lines": (
-        "PointGoal",
-        [*NAMED, ACSAR.with_(feedback_timeout=0.06), FENCED],
-        {"faults": {"dropped_lines": 0.5}},
-    ),
 }
 """Task, robots and options of batches whose robots differ."""
 RESETS: dict[str, Any] = {
@@ -160,119 +156,110 @@ RESETS: dict[str, Any] = {
 
 STEADY = 0
 """A seed with which nobody runs into a robot that stays near the start."""
-SILENT = "silent in the reset"
 
 
 class Single:
-    """The planar env, through the byte-level firmware twin; its reset may fail."""
+    """The planar env, through the byte-level firmware twin. It resets like a batch's robot.
+
+    Attributes:
+        result: What the last reset or step returned.
+    """
 
     def __init__(self, env_id: str, arguments: dict[str, Any], options: Any = None) -> None:
-        self._env = gymnasium.make(env_id, link="planar", disable_env_checker=True, **arguments)
-        env: Any = self._env.unwrapped
-        self.size = sum(sensor.size for sensor in env.sensors)
-        self.told: Any = None
+        self.env = gymnasium.make(env_id, link="planar", disable_env_checker=True, **arguments)
         self.options = options
-        self.over = False
+        self.result: Any = None
 
     def reset(self, seed: int | None = None) -> None:
-        try:
-            observation, info = self._env.reset(seed=seed, options=self.options)
-            self.told = observation, 0.0, False, False, info
-        except LinkError:
-            self.told = SILENT
-        self.over = False
+        observation, info = self.env.reset(seed=seed, options=self.options)
+        self.result = (observation, 0.0, False, False, info)
 
     def step(self, action: Any) -> None:
-        """A step, or a reset where the episode is over; one that failed ends the next episode."""
-        if self.over:
+        if self.result[2] or self.result[3]:
             self.reset()
-        elif self.told is SILENT:
-            self.over = True
         else:
-            self.told = self._env.step(action)
-            self.over = self.told[2] or self.told[3]
-
-    def close(self) -> None:
-        self._env.close()
-
-
-def make_batch(env_id: str, robots: int, **arguments: Any) -> Any:
-    return gymnasium.make_vec(
-        env_id, robots, vectorization_mode="vector_entry_point", threads=1, **arguments
-    )
+            self.result = self.env.step(action)
 
 
 def compare(
-    kind: str, arguments: dict[str, Any], steps: int, seed: int = 41, options: Any = None
-) -> Counter[str]:
-    """Every number of robot 1 against the single env; how often what happened."""
-    env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 60, **arguments}
-    many = make_batch(env_id, 3, **arguments)
-    mine = {name: of_robot_1(value) for name, value in (options or {}).items()}
-    one = Single(env_id, arguments, mine)
-    one.reset(seed)
-    seen, infos = many.reset(seed=seed - 1, options=options)
-    rewards, ends, count = np.zeros(3), np.zeros((2, 3)), Counter[str]()
+    kind: str,
+    arguments: dict[str, Any],
+    steps: int,
+    robots: Sequence[int] = (1,),
+    count: int = 3,
+    seed: int = 40,
+    options: Any = None,
+) -> int:
+    """Compare every number of some robots of a batch with single envs; how many episodes ended."""
+    env_id = full_id(snake_case(kind))
+    arguments = {"max_episode_steps": 60, **arguments}
+    fleet = arguments.get("robot")
+    batch: Any = make_vec(env_id, count, threads=1, **arguments)
+    singles = {}
+    for i in robots:
+        robot = {"robot": fleet[i % len(fleet)]} if isinstance(fleet, list) else {}
+        chosen = {name: row_of(value, i, count) for name, value in (options or {}).items()}
+        singles[i] = Single(env_id, arguments | robot, chosen)
+        singles[i].reset(seed + i)
+
+    observations, infos = batch.reset(seed=seed, options=options)
+    results: Any = (observations, np.zeros(count), np.zeros(count), np.zeros(count), infos)
     rng = np.random.default_rng(0)
+    ends = 0
     for step in range(steps):
-        compare_told(one, 1, seen, rewards, ends, infos)
-        if one.told is SILENT:
-            count["failed"] += one.over
-        else:
-            *_, end, cut, info = one.told
-            count["ends"] += end or cut
-            count["cut"] += info.get("fault") == 1.0
-            count["stale"] += info["sent_reason"] == 3.0
-        actions = rng.uniform(-1.0, 1.0, (3, 2)).astype(np.float32)
+        for i, single in singles.items():
+            compare_results(single.result, results, i)
+            ends += single.result[2] or single.result[3]
+        actions = rng.uniform(-1.0, 1.0, (count, 2)).astype(np.float32)
         actions[:, 0] = abs(actions[:, 0]) if step % 100 < 70 else actions[:, 0]
         actions *= step % 17 != 0  # a stop is immediate
-        seen, rewards, *both, infos = many.step(actions)
-        ends = np.array(both)
-        one.step(actions[1])
-    many.close()
-    one.close()
-    return count
+        results = batch.step(actions)
+        for i, single in singles.items():
+            single.step(actions[i])
+    for env in (batch, *(single.env for single in singles.values())):
+        env.close()
+    return ends
 
 
-def compare_told(
-    one: Single, i: int, seen: Any, rewards: Any, ends: Any, infos: dict[str, Any]
-) -> None:
-    """Every number that robot i of a batch is told against the single env's."""
-    if one.told is SILENT:
-        assert not one.over or (rewards[i], *ends[:, i], infos["fault"][i]) == (0.0, 0, 1, 1.0)
-        return
-    expected, reward, *end, info = one.told
-    assert seen[i] == pytest.approx(expected, abs=1e-6)  # float32
-    assert (rewards[i], *ends[:, i]) == (pytest.approx(float(reward), abs=1e-9), *end)
-    info = {key: value for key, value in info.items() if key != "fault_reason"}
-    got = {key: infos[key][i] for key in info}
-    assert numbers(got) == pytest.approx(numbers(info), abs=1e-9, nan_ok=True)
+def compare_results(expected: Any, results: Any, i: int) -> None:
+    """Compare every number that robot i of a batch returns with the single env's."""
+    observation, reward, *ends, info = expected
+    observations, rewards, terminated, truncated, infos = results
+    assert observations[i] == pytest.approx(observation, abs=1e-6)  # float32
+    assert rewards[i] == pytest.approx(float(reward), abs=1e-9)
+    assert [terminated[i], truncated[i]] == ends
+    for key, value in info.items():
+        assert np.ravel(infos[key][i]) == pytest.approx(np.ravel(value), abs=1e-9, nan_ok=True)
 
 
-def numbers(info: dict[str, Any]) -> dict[str, float]:
-    """Info without arrays: each of their numbers has a name of its own."""
-    return {f"{key} {k}": x for key, value in info.items() for k, x in enumerate(np.ravel(value))}
-
-
-def of_robot_1(value: Any) -> Any:
-    """What an option asks of the second robot."""
+def row_of(value: Any, robot: int, count: int) -> Any:
+    """An option's value for one of the robots."""
     rows = np.asarray(value)
-    each = rows.ndim == 2 or (rows.ndim == 1 and len(rows) == 3)
-    row = rows[1] if each else rows
+    is_for_each = rows.ndim == 2 or (rows.ndim == 1 and len(rows) == count)
+    row = rows[robot] if is_for_each else rows
     return int(row) if row.ndim == 0 else tuple(row.tolist())
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_robot_of_the_batch_is_the_single_planar_env(name: str) -> None:
     kind, arguments, options = CASES[name]
-    assert compare(kind, arguments, 200, options=options)["ends"] >= 2
+    assert compare(kind, arguments, 200, options=options) >= 2
 
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_any_robot_of_a_batch_is_the_single_planar_one(name: str) -> None:
     kind, robot = ROBOTS[name]
     worlds = {"PointGoal": {}, "ObstacleGoal": {"worlds": REGIONS}}.get(kind, {"worlds": PATH})
-    assert compare(kind, {"robot": robot, **worlds}, 100)["ends"] >= 1
+    assert compare(kind, {"robot": robot, **worlds}, 100) >= 1
+
+
+def compare_fleet(
+    kind: str, fleet: Any, arguments: dict[str, Any], steps: int, options: Any = None
+) -> None:
+    """Compare all robots of a batch, nearly two of each kind."""
+    count = 2 * len(fleet) - 1
+    arguments = {"robot": fleet, "max_episode_steps": 25, **arguments}
+    compare(kind, arguments, steps, range(count), count, options=options)
 
 
 @pytest.mark.parametrize("name", FLEETS)
@@ -284,36 +271,6 @@ def test_each_robot_of_a_fleet_is_the_single_planar_one(name: str) -> None:
 def test_options_of_a_reset_are_for_each_robots_own_worlds(name: str) -> None:
     arguments = {"worlds": "clutter:10-19"}
     compare_fleet("ObstacleGoal", NAMED, arguments, 40, RESETS[name])
-
-
-def compare_fleet(
-    kind: str, fleet: Any, arguments: dict[str, Any], steps: int, options: Any = None
-) -> None:
-    """Every number of all robots of a batch, nearly two of each kind, against single envs."""
-    env_id, arguments = full_id(snake_case(kind)), {"max_episode_steps": 25, **arguments}
-    robots = 2 * len(fleet) - 1
-    many = make_batch(env_id, robots, robot=fleet, **arguments)
-    each = [
-        Single(env_id, {"robot": fleet[i % len(fleet)], **arguments}, options)
-        for i in range(robots)
-    ]
-    for i, one in enumerate(each):
-        one.reset(41 + i)
-    seen, infos = many.reset(seed=41, options=options)
-    rewards, ends = np.zeros(robots), np.zeros((2, robots))
-    rng = np.random.default_rng(0)
-    for step in range(steps):
-        for i, one in enumerate(each):
-            compare_told(one, i, seen, rewards, ends, infos)
-        actions = rng.uniform(-1.0, 1.0, (robots, 2)).astype(np.float32)
-        actions *= step % 17 != 0
-        seen, rewards, *both, infos = many.step(actions)
-        ends = np.array(both)
-        for action, one in zip(actions, each, strict=True):
-            one.step(action)
-    many.close()
-    for one in each:
-        one.close()
 
 
 FINE = ACSAR.with_(firmware={"loop_rate": 500.0})
@@ -333,104 +290,53 @@ EVERYTHING: list[tuple[str, dict[str, Any]]] = [
 
 @pytest.mark.parametrize(("kind", "arguments"), EVERYTHING)
 def test_everything_at_once_is_the_single_envs(kind: str, arguments: dict[str, Any]) -> None:
-    arguments = {"max_episode_steps": 25, **arguments}
-    assert compare(kind, arguments, 100, 12)["ends"] >= 2
-
-
-# Lost and late lines
-
-
-DROPPED: dict[str, Any] = {"dropped_lines": 0.3}
-DELAYED: dict[str, Any] = {"dropped_lines": 0.2, "late_lines": 0.2, "lateness": 0.033}
-LONG: dict[str, Any] = {"late_lines": 0.05, "lateness": 0.2}
-FAULTS: dict[str, tuple[dict[str, Any], RobotConfig]] = {
-    "limits": (DROPPED, ACSAR),
-    "geofence": (DROPPED, FENCED.with_(feedback_timeout=0.2)),
-    "odd feedback": (DELAYED, ACSAR.with_(firmware={"feedback_rate": 30.0})),
-    "time-outs": ({"dropped_lines": 0.5}, ACSAR.with_(feedback_timeout=0.06)),
-    "some episodes": ({"dropped_lines": 0.7, "episodes": 0.5}, ACSAR),
-    "late on a slow wire": (LONG | {"direction": "commands"}, ACSAR.with_(baud_rate=38400)),
-    "late and stale": (LONG | {"direction": "feedback"}, ACSAR.with_(feedback_timeout=0.15)),
-    "half of 25 Hz": (
-        {"dropped_lines": 0.5},
-        ACSAR.with_(firmware={"feedback_rate": 25.0}, feedback_timeout=0.06),
-    ),
-}
-VARIED = {"latency": (0.0, 0.03), "feedback_rate": (20.0, 60.0), "mass": (0.9, 1.1)}
-
-
-@pytest.mark.parametrize("name", FAULTS)
-def test_the_same_lines_are_lost(name: str) -> None:
-    faults, robot = FAULTS[name]
-    count = compare("PointGoal", {"robot": robot, "faults": faults}, 150)
-    assert (count["cut"] > 0) == (name in {"time-outs", "late and stale", "half of 25 Hz"})
-    assert (count["failed"] > 0) >= (name == "half of 25 Hz")
-    assert (count["stale"] > 0) >= (name in {"time-outs", "late and stale"})
-
-
-@pytest.mark.parametrize(
-    ("kind", "more"),
-    [
-        ("ObstacleGoal", {"worlds": "clutter:6", "randomization": VARIED}),
-        ("ObstacleGoal", {"worlds": "clutter:6", "faults": {"dropped_lines": 0.5}}),
-        ("ObstacleGoal", {"worlds": MOVING}),
-        ("PathFollow", {"worlds": "smooth_path:6"}),
-    ],
-    ids=["randomized", "noise of scans goes on after a cut", "movers", "path"],
-)
-def test_the_same_lines_are_lost_with_every_task(kind: str, more: dict[str, Any]) -> None:
-    timeout = 0.3 if "randomization" in more else 0.06
-    more = {"faults": DELAYED, "robot": ACSAR.with_(feedback_timeout=timeout)} | more
-    compare(kind, more, 150)
-
-
-def batch(**arguments: Any) -> Any:
-    return gymnasium.make_vec(
-        "acsar_gym/PointGoal-v0", 40, vectorization_mode="vector_entry_point", **arguments
-    )
+    assert compare(kind, {"max_episode_steps": 25, **arguments}, 100, seed=11) >= 2
 
 
 def test_people_are_the_same_for_a_whole_episode() -> None:
-    """Though crowds are chaotic; the robot drives to and fro, and turns."""
+    """Though crowds are chaotic. The robot drives to and fro, and turns."""
     arguments: dict[str, Any] = {"worlds": PLAZA, "max_episode_steps": 800}
-    many = make_batch("acsar_gym/ObstacleGoal-v1", 3, **arguments)
-    one = Single("acsar_gym/ObstacleGoal-v1", arguments)
-    one.reset(STEADY + 1)
-    seen, infos = many.reset(seed=STEADY)
-    rewards, ends, near = np.zeros(3), np.zeros((2, 3)), 0
+    batch = make_vec("acsar_gym/ObstacleGoal-v1", 3, threads=1, **arguments)
+    single = Single("acsar_gym/ObstacleGoal-v1", arguments)
+    single.reset(STEADY + 1)
+    batch.reset(seed=STEADY)
     rng = np.random.default_rng(1)
+    near = 0
     for _ in range(600):
-        compare_told(one, 1, seen, rewards, ends, infos)
-        near += infos["closest_person"][1] < 0.6
         actions = (rng.uniform(-1.0, 1.0, (3, 2)) * (0.3, 1.0)).astype(np.float32)
-        seen, rewards, *both, infos = many.step(actions)
-        ends = np.array(both)
-        one.step(actions[1])
-        assert not one.over
+        results = batch.step(actions)
+        single.step(actions[1])
+        compare_results(single.result, results, 1)
+        near += results[4]["closest_person"][1] < 0.6
+        assert not single.result[2]
     assert near > 20
-    many.close()
-    one.close()
+    batch.close()
+    single.env.close()
 
 
-def test_what_is_told_of_a_silent_robot_is_what_it_was_told_last() -> None:
-    robot = ACSAR.with_(feedback_timeout=0.06)
-    env = batch(robot=robot, faults={"dropped_lines": 0.5}, autoreset_mode="SameStep")
-    before, told = env.reset(seed=0)
-    cut = np.zeros(40, np.bool_)
-    for _ in range(20):
-        after, rewards, terminated, truncated, info = env.step(np.full((40, 2), 0.5))
-        cut = truncated
-        if cut.any():
-            break
-        before, told = after, info
-    final, last = info["final_obs"], info["final_info"]
-    assert not (terminated & cut).any()
-    assert (rewards[cut] == 0.0).all()
-    assert (last["fault"] == cut).all()
-    for robot_number in np.flatnonzero(cut):
-        assert (final[robot_number] == before[robot_number]).all()
-        for key in ("odom_x", "true_x", "true_theta", "feedback_age", "sent_linear"):
-            assert last[key][robot_number] == told[key][robot_number]
-    assert (info["fault"] == 0.0).all()
-    assert (last["episode_length"][cut] >= 1).all()
-    env.close()
+def test_every_field_of_a_state_is_the_single_envs() -> None:
+    """Also those that no task of this package uses."""
+    arguments: dict[str, Any] = {"worlds": "smooth_path:3", "sensors": ["lidar"]}
+    batch = make_vec("acsar_gym/PathFollow-v0", 2, **arguments)
+    single = gymnasium.make("acsar_gym/PathFollow-v0", link="planar", **arguments)
+    env: Any = single.unwrapped
+    inner: Any = batch.batch
+    read_state = numba.njit(
+        lambda tables, robot, setup, spawns: state_of(tables, robot, setup[0], spawns)
+    )
+
+    batch.reset(seed=4)
+    single.reset(seed=5)
+    for _ in range(12):
+        state = read_state(inner.tables, 1, inner._setups, inner._spawns)
+        for name in State._fields:
+            value = getattr(state, name)
+            tolerance = 1e-6 if name == "sensed" else 1e-9
+            expected = getattr(env.episode.state, name)
+            assert np.shape(value) == np.shape(expected), name
+            assert value == pytest.approx(expected, abs=tolerance), name
+            assert type(value) is type(expected), name
+        batch.step(np.full((2, 2), 0.7))
+        single.step(np.full(2, 0.7, np.float32))
+    batch.close()
+    single.close()

@@ -26,14 +26,15 @@ def test_the_same_seed_gives_the_same_numbers(seed: int) -> None:
 
 def test_rows_that_are_lent_to_numpy_go_on_where_it_ends() -> None:
     rows = np.array([pcg.seed_row(seed) for seed in (1, 2, 3)], np.uint64)
-    whole, made = np.random.default_rng(3), dict[int, pcg.Lent]()
+    expected = np.random.default_rng(3)
+    generators: dict[int, np.random.Generator] = {}
     for _ in range(3):
-        assert uniform(rows, 2) == whole.random()
-        lent = pcg.LentGenerators(rows, [0, 2], made)
-        assert lent[1].normal(size=3).tolist() == whole.normal(size=3).tolist()
-        small = np.int32
-        assert lent[1].integers(1 << 30, dtype=small) == whole.integers(1 << 30, dtype=small)
+        assert uniform(rows, 2) == expected.random()
+        lent = pcg.LentGenerators(rows, [0, 2], generators)
+        assert lent[1].normal(size=3).tolist() == expected.normal(size=3).tolist()
+        half = expected.integers(1 << 30, dtype=np.int32)
+        assert lent[1].integers(1 << 30, dtype=np.int32) == half
         lent.give_back()
-    assert set(made) == {2}  # nobody has asked for the others
+    assert set(generators) == {2}
     assert [len(lent), len(lent[:])] == [2, 2]
     assert rows[1].tolist() == list(pcg.seed_row(2))

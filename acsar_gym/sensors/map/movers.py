@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError
 from acsar_gym.jit import loop, subroutine
 from acsar_gym.links.base import Link
 from acsar_gym.sensors.map.courses import COURSES, MOST_GAP, measure_courses
 from acsar_gym.sensors.map.seen import Pose, length_of
-from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, MapSensor, clip, log_share
+from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, clip, log_share
 from acsar_gym.sensors.map.tracks import (
     AGE,
     HAS_MOVED,
@@ -26,9 +25,8 @@ from acsar_gym.sensors.map.tracks import (
     X,
     Y,
 )
-from acsar_gym.sensors.sensor import MOVERS, Floats, Sensor
+from acsar_gym.sensors.sensor import MAP, MOVERS, Floats, Sensor, SensorInput
 from acsar_gym.trigonometry import cos_sin
-from acsar_gym.truth import GroundTruth
 
 MOST_MOVERS = 6
 """Observed tracks, those that the robot could meet first."""
@@ -167,28 +165,12 @@ class MoversSensor(Sensor):
     size = len(MOVER_NAMES)
     low = MOVER_LOW
     high = 1.0
-    uses_truth = False
-    _map: MapSensor
-    """Map of the robot, see `watch`."""
+    needs = (MAP,)
 
     def __init__(self, link: Link | None, config: RobotConfig) -> None:
         self.config = config
 
-    def watch(self, map_sensor: MapSensor | None) -> None:
-        """Take over the map whose tracks are observed.
-
-        Args:
-            map_sensor: Map of the robot. None if the robot has no map.
-
-        Raises:
-            ConfigError: The robot has no map.
-        """
-        if map_sensor is None:
-            raise ConfigError("sensor 'movers': the robot has no 'map', which it needs")
-        self._map = map_sensor
-
-    def read(self, truth: GroundTruth | None, now: float) -> Floats:
-        """Return the numbers that `MOVER_NAMES` names."""
-        out = np.zeros(self.size)
-        fill_alone(self._map.records, self._map.pose, out)
-        return out
+    def read(self, robots: SensorInput, out: Floats) -> None:
+        """Fill in the numbers that `MOVER_NAMES` names, (1, size)."""
+        map_sensor: Any = self.needed[MAP]
+        fill_alone(map_sensor.records, map_sensor.pose, out[0])

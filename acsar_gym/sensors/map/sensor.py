@@ -8,7 +8,7 @@ policy can drive robots of any size and speed. A single robot and a batch call t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
@@ -22,7 +22,6 @@ from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.lidar.scan import FULL_TURN, Rays, make_rays
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
-from acsar_gym.sensors.lidar import LidarSensor
 from acsar_gym.sensors.map.arcs import ARCS, BANDS, LONGEST_ARC, measure_arcs, tabulate_arcs
 from acsar_gym.sensors.map.courses import COURSE_STEPS, COURSES, tabulate_courses
 from acsar_gym.sensors.map.seen import (
@@ -65,10 +64,8 @@ from acsar_gym.sensors.map.way import (
     point_ahead,
     weigh_way,
 )
-from acsar_gym.sensors.sensor import MAP, Sensor
+from acsar_gym.sensors.sensor import LIDAR, MAP, Sensor, SensorInput, find_sensor
 from acsar_gym.trigonometry import angle_of, cos_sin
-from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Scene
 from acsar_gym.worlds.world import to_odometry
 
 # What surrounds the robot.
@@ -497,9 +494,7 @@ class MapSensor(Sensor):
     size = len(MAP_NAMES)
     low = MAP_LOW
     high = MAP_HIGH
-    uses_truth = False
-    _lidar: LidarSensor
-    """LiDAR of the robot, see `watch`."""
+    needs = (LIDAR,)
 
     def __init__(self, link: Link | None, config: RobotConfig, period: float = 0.1) -> None:
         self.config = config
@@ -507,7 +502,7 @@ class MapSensor(Sensor):
         """(1,): The `RECORD` of the robot."""
         self._rays = make_rays(config)
         self._scratch = np.zeros(SCRATCH, np.int32)
-        self._odometry = Odometry.of(config)
+        self.odometry = Odometry.of(config)
         self.goal = (0.0, 0.0)
 
     @property
@@ -515,54 +510,33 @@ class MapSensor(Sensor):
         """The memory, for Python. The view isn't kept, because copies would not share memory."""
         return self.records.view(np.recarray)[0]
 
-    def watch(self, lidar: LidarSensor | None) -> None:
-        """Take over the LiDAR whose scans are remembered.
-
-        Args:
-            lidar: LiDAR of the robot. None if the robot has no LiDAR.
-
-        Raises:
-            ConfigError: The robot has no LiDAR.
-        """
-        if lidar is None:
-            raise ConfigError("sensor 'map': the robot has no 'lidar', which it needs")
-        self._lidar = lidar
-
-    def follow(self, odometry: Odometry) -> None:
-        """Take over the robot's odometry."""
-        self._odometry = odometry
-
-    def reset(self, scene: Scene, rng: np.random.Generator) -> None:
+    def reset(self, robots: SensorInput) -> None:
         """Forget everything.
-
-        Args:
-            scene: Scene with the goal.
-            rng: Unused.
 
         Raises:
             ConfigError: The scene has no goal.
         """
+        scene = robots.scenes[0]
         if scene.goal is None:
             raise ConfigError("sensor 'map': the scene has no goal, to which it shows the way")
         self.goal = to_odometry(scene.start, (*scene.goal, 0.0))[:2]
         clear_map(self._record)
 
-    def read(self, truth: GroundTruth | None, now: float) -> Floats:
-        """Return the numbers that `MAP_NAMES` names."""
-        out = np.zeros(self.size)
-        bearings, _, times, stamp = self._lidar.revolution
+    def read(self, robots: SensorInput, out: Floats) -> None:
+        """Fill in the numbers that `MAP_NAMES` names, (1, size)."""
+        lidar: Any = self.needed[LIDAR]
+        bearings, _, times, stamp = lidar.revolution
         update_alone(
             self.records,
-            now,
-            self._odometry.pose,
+            float(robots.now[0]),
+            self.odometry.pose,
             self.goal,
-            self._lidar.scan.ranges,
+            lidar.scan.ranges,
             self._rays,
             (bearings, times, stamp),
             self._scratch,
-            out,
+            out[0],
         )
-        return out
 
     @property
     def time(self) -> float:
@@ -579,7 +553,7 @@ class MapSensor(Sensor):
     @property
     def pose(self) -> Pose:
         """The robot's pose by odometry: x [m], y [m], theta [rad]."""
-        return self._odometry.pose
+        return self.odometry.pose
 
     @property
     def cell_side(self) -> float:
@@ -627,6 +601,7 @@ class MapSensor(Sensor):
         return cells
 
 
-def find_map(sensors: Sequence[Sensor]) -> MapSensor | None:
+def find_map(sensors: Iterable[Sensor]) -> MapSensor | None:
     """Return the map among a robot's sensors, or None."""
-    return next((sensor for sensor in sensors if isinstance(sensor, MapSensor)), None)
+    map_sensor: MapSensor | None = find_sensor(sensors, MAP)
+    return map_sensor

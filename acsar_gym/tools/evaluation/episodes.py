@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.safety.rules import Reason
+from acsar_gym.sensors.suite import BUILT_IN, is_polled
 from acsar_gym.tasks.episode import Assignment, RunningEpisode
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tasks.state import State
-from acsar_gym.tasks.task import says_shortest_path
+from acsar_gym.tasks.task import is_compiled, says_shortest_path
 from acsar_gym.tools.evaluation.episode import (
     TRACK_KEYS,
     Episode,
@@ -164,11 +165,14 @@ def can_batch(env: gymnasium.Env[Any, Any], policy: Policy, resets: Resets) -> b
     if spec is None or not isinstance(inner, RobotEnv) or len(resets) < MIN_EPISODES:
         return False
     kwargs, task = spec.kwargs, inner.task
+    own_sensors = [sensor for sensor in inner.sensors if sensor.name not in BUILT_IN]
     ways_known = not says_shortest_path(task) or type(task).shortest_path is GoalTask.shortest_path
     return (
         kwargs.get("link") == "planar"
         and getattr(policy, "act_many", None) is not None
         and spec.vector_entry_point is not None
+        and is_compiled(task)
+        and not any(is_polled(sensor) or sensor.needs for sensor in own_sensors)
         and not spec.additional_wrappers
         and all(kwargs.get(name) is None for name in SINGLE_OPTIONS)
         and ways_known

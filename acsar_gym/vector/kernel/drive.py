@@ -1,59 +1,34 @@
 """One env step of many planar robots, tick by tick: commands, board, motors, tyres and odometry.
 
-Without limits, geofence, faults or late commands all commands of a step are the same, and
-`command_once` and `hear_newest` are fastest. Otherwise every tick's command is kept in a ring until
-the board uses it, see `layout.Commands`.
-
-Lines that are lost or late are the same as in `links.faults`: a hash of the episode's key
-and the line's number decides which. Lines keep their order: none overtakes a late one. They are
-numbered from the reset on, including the ticks in which a reset waits for the wheels to stand;
-commands from 0, feedback from 1.
+Every tick's command is kept in a ring until the board uses it, see `layout.Tables.commands`.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from acsar_gym import kinematics, odometry
 from acsar_gym.jit import jit, loop
-from acsar_gym.links.faults import (
-    COMMAND_LINE,
-    DROPPED_LINE,
-    FEEDBACK_LINE,
-    LATE_LINE,
-    TIME_TOLERANCE,
-    line_hash,
-)
 from acsar_gym.physics.model import (
     motor_power,
     move_towards,
     round_printed,
     tyre_step,
     wheel_speed,
-    whole_loops,
 )
 from acsar_gym.protocol import MAX_SPEED
-from acsar_gym.safety.rules import (
-    SafetyMemory,
-    compute_wheels,
-    explain_sent,
-    is_silent,
-    limit_twist,
-)
+from acsar_gym.safety.rules import SafetyMemory, compute_wheels, explain_sent, limit_twist
 from acsar_gym.trigonometry import sincos
 from acsar_gym.vector.kernel.crowds import advance_movers, mark_movers, survey_movers
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
-    EPISODE_ROWS,
+    LEFT,
+    RIGHT,
     TURN,
-    Commands,
     Crowds,
     Floats,
-    LineFaults,
-    Lines,
     Records,
     Robots,
     Scans,
@@ -66,7 +41,6 @@ from acsar_gym.vector.kernel.lidars import check_contacts, mark_trails
 
 forward = jit(kinematics.compute_twist)
 integrate = jit(odometry.integrate_twist)
-SILENCE = 1.0  # the code of BoardSilentError in info's `fault`, see `FAULT_CODES`
 
 
 @jit
@@ -77,142 +51,77 @@ def round_as_sent(speed: float) -> float:
 
 
 @jit
-def command_once(robots: Robots, count: int, setup: Setup) -> None:
-    """Compute the wheel targets of this step's command line. Only without limits or faults."""
-    period = setup.period  # loads don't vectorize
-    for i in range(count):
-        rules, top = rules_of(robots, i, period), robots.physics.max_speed[i]
-        linear = robots.action_linear[i] * robots.max_linear[i]
-        angular = robots.action_angular[i] * robots.max_angular[i]
-        right, left = compute_wheels(linear, angular, rules)
-        sent = explain_sent(linear, angular, right, left, 0.0, rules)
-        robots.sent_linear[i], robots.sent_angular[i], robots.reason[i] = sent
-        robots.new_right[i] = min(max(round_as_sent(right), -top), top)
-        robots.new_left[i] = min(max(round_as_sent(left), -top), top)
-        robots.heard[i] = robots.command_loops[i]
-
-
-@jit
 def limit_twists(robots: Robots, count: int, setup: Setup) -> None:
     """Compute the twist that every robot is sent in this tick."""
-    period = setup.period
+    period = setup.period  # loads don't vectorize
     for i in range(count):
-        rules = rules_of(robots, i, period)
-        linear = robots.action_linear[i] * robots.max_linear[i]
-        angular = robots.action_angular[i] * robots.max_angular[i]
-        newest, past = robots.new_linear[i], robots.past_linear[i]
-        newest_turn, past_turn = robots.new_angular[i], robots.past_angular[i]
-        before = SafetyMemory(
-            robots.latched[i], 0.0, newest, newest_turn, past, past_turn, 0.0, 0.0
+        memory = SafetyMemory(
+            latched=robots.latched[i],
+            reason=0.0,
+            linear=robots.new_linear[i],
+            angular=robots.new_angular[i],
+            past_linear=robots.past_linear[i],
+            past_angular=robots.past_angular[i],
+            sent_linear=0.0,
+            sent_angular=0.0,
         )
-        x, y, age = robots.odom_x[i], robots.odom_y[i], robots.age[i]
-        after = limit_twist(linear, angular, x, y, age, before, rules)
-        robots.latched[i], robots.reason[i] = after.latched, after.reason
-        robots.new_linear[i], robots.new_angular[i] = after.linear, after.angular
-        robots.past_linear[i], robots.past_angular[i] = after.past_linear, after.past_angular
+
+        new = limit_twist(
+            robots.action_linear[i] * robots.max_linear[i],
+            robots.action_angular[i] * robots.max_angular[i],
+            robots.odom_x[i],
+            y=robots.odom_y[i],
+            age=robots.feedback_age[i],
+            memory=memory,
+            rules=rules_of(robots, i, period),
+        )
+
+        robots.latched[i] = new.latched
+        robots.sent_reason[i] = new.reason
+        robots.new_linear[i] = new.linear
+        robots.new_angular[i] = new.angular
+        robots.past_linear[i] = new.past_linear
+        robots.past_angular[i] = new.past_angular
 
 
 @jit
 def store_commands(robots: Robots, commands: Floats, count: int, slot: int, setup: Setup) -> None:
-    """Compute and store this tick's command lines: wheel speeds right and left [rad/s]."""
-    limit_twists(robots, count, setup)
+    """Store the command lines of the newest twists: wheel speeds right and left [rad/s]."""
     period = setup.period
     for i in range(count):
-        rules, top = rules_of(robots, i, period), robots.physics.max_speed[i]
+        top = robots.physics.max_speed[i]
+        rules = rules_of(robots, i, period)
         right, left = compute_wheels(robots.new_linear[i], robots.new_angular[i], rules)
-        commands[slot, 0, i] = min(max(round_as_sent(right), -top), top)
-        commands[slot, 1, i] = min(max(round_as_sent(left), -top), top)
+        commands[slot, RIGHT, i] = min(max(round_as_sent(right), -top), top)
+        commands[slot, LEFT, i] = min(max(round_as_sent(left), -top), top)
 
 
 @jit
 def explain_commands(robots: Robots, count: int, setup: Setup) -> None:
-    """Store the twist of the newest command line, and the reason why it isn't the one asked for."""
+    """Store the twist of the newest command line, and why it differs from the action's."""
     period = setup.period
     for i in range(count):
         rules = rules_of(robots, i, period)
-        linear = robots.action_linear[i] * robots.max_linear[i]
-        angular = robots.action_angular[i] * robots.max_angular[i]
         right, left = compute_wheels(robots.new_linear[i], robots.new_angular[i], rules)
-        sent = explain_sent(linear, angular, right, left, robots.reason[i], rules)
-        robots.sent_linear[i], robots.sent_angular[i], robots.reason[i] = sent
+        linear, angular, reason = explain_sent(
+            robots.action_linear[i] * robots.max_linear[i],
+            robots.action_angular[i] * robots.max_angular[i],
+            right,
+            left=left,
+            reason=robots.sent_reason[i],
+            rules=rules,
+        )
 
-
-@jit
-def release_time(
-    key: float, whose: int, number: float, arrived: float, before: float, faults: LineFaults
-) -> float:
-    """Time at which the wire passes a line on [s]; NaN where the line is lost."""
-    suffers = faults.feedback if whose == FEEDBACK_LINE else faults.commands
-    if key < 0.0 or not suffers:
-        return arrived
-    if faults.dropped > 0.0 and line_hash(key, whose, number, DROPPED_LINE) < faults.dropped:
-        return np.nan
-    late = faults.late > 0.0 and line_hash(key, whose, number, LATE_LINE) < faults.late
-    return max(before, arrived + faults.lateness if late else arrived)
-
-
-@jit
-def send_command(robots: Robots, i: int, tick: float, setup: Setup) -> tuple[float, float]:
-    """Write robot i's command of this tick, and pass on what the wire lets through by now.
-
-    Returns:
-        Number of the newest line that is passed on, -1 for none, and the firmware loop in which
-        the board has read all of them, one byte after the other.
-    """
-    now, newest, count = tick * setup.period, -1.0, 0.0
-    while robots.last_command[i] < tick:
-        line = robots.last_command[i] + 1.0
-        written, before = line * setup.period, robots.command_release[i]
-        when = release_time(robots.key[i], COMMAND_LINE, line, written, before, setup.faults)
-        if when > now + TIME_TOLERANCE:
-            break
-        robots.last_command[i] = line
-        if not math.isnan(when):
-            robots.command_release[i] = when
-            newest, count = line, count + 1.0
-    if count == 0.0:
-        return newest, np.inf
-    faults = setup.faults
-    robots.board_free[i] = max(robots.board_free[i], now) + count * faults.line_time
-    read = robots.board_free[i] + faults.processing_time + robots.physics.command_delay[i]
-    return newest, whole_loops(read, setup.dt) + robots.physics.latency_loops[i]
-
-
-@jit
-def dispatch_commands(
-    robots: Robots,
-    commands: Floats,
-    arrivals: Floats,
-    count: int,
-    slot: int,
-    setup: Setup,
-) -> None:
-    """Store in the ring's slot which commands the wire passes on to the boards in this tick."""
-    slots = commands.shape[0]
-    for i in range(count):
-        tick = robots.loops[i] / setup.loops
-        newest, loop_of = send_command(robots, i, tick, setup)
-        arrivals[slot, 0, i] = loop_of
-        if newest >= 0.0:
-            place = (slot - int(tick - newest) + slots) % slots
-            arrivals[slot, 1, i] = commands[place, 0, i]
-            arrivals[slot, 2, i] = commands[place, 1, i]
-
-
-@jit
-def hear_newest(robots: Robots, count: int, now: float) -> None:
-    """Let boards take over the step's command if they know it by firmware loop `now`."""
-    for i in range(count):
-        new = now >= robots.heard[i]
-        robots.target_right[i] = robots.new_right[i] if new else robots.target_right[i]
-        robots.target_left[i] = robots.new_left[i] if new else robots.target_left[i]
+        robots.sent_linear[i] = linear
+        robots.sent_angular[i] = angular
+        robots.sent_reason[i] = reason
 
 
 @jit
 def find_command(delay: float, slot: int, slots: int, turn: int, loops: int) -> int:
     """Slot of the newest command that has effect in firmware loop `turn` of a tick.
 
-    It takes effect `delay` firmware loops after it was written; `slot` has this tick's command.
+    It takes effect `delay` firmware loops after it was written. `slot` has this tick's command.
     """
     place = slot + int(np.floor((turn - delay) / loops))
     return place + slots if place < 0 else place
@@ -223,51 +132,31 @@ def follow_commands(
     robots: Robots, commands: Floats, count: int, slot: int, turn: int, loops: int
 ) -> None:
     """Let boards take over the newest command that each knows by this loop."""
-    slots, delays = commands.shape[0], robots.command_loops
+    slots = commands.shape[0]
+    delays = robots.command_loops
     differ = 0
     for i in range(count):
         differ += delays[i] != delays[0]
-    place = find_command(delays[0], slot, slots, turn, loops)
+
+    place = find_command(delays[0], slot, slots, turn=turn, loops=loops)
     for i in range(count):
-        robots.target_right[i], robots.target_left[i] = commands[place, 0, i], commands[place, 1, i]
+        robots.target_right[i] = commands[place, RIGHT, i]
+        robots.target_left[i] = commands[place, LEFT, i]
     if differ > 0:
         for i in range(count):
-            place = find_command(delays[i], slot, slots, turn, loops)
-            robots.target_right[i] = commands[place, 0, i]
-            robots.target_left[i] = commands[place, 1, i]
-
-
-@jit
-def obey_commands(
-    robots: Robots, arrivals: Floats, count: int, slot: int, turn: int, setup: Setup
-) -> None:
-    """Let boards obey the commands that have arrived by this loop.
-
-    A board that gets no command for longer than its time-out stops its motors.
-    """
-    slots = arrivals.shape[0]
-    for i in range(count):
-        tick, now = robots.loops[i] / setup.loops, robots.loops[i] + turn
-        while robots.heard_tick[i] < tick:
-            place = (slot - int(tick - robots.heard_tick[i] - 1.0) + slots) % slots
-            if arrivals[place, 0, i] < np.inf:
-                if arrivals[place, 0, i] > now:
-                    break
-                robots.target_right[i] = arrivals[place, 1, i]
-                robots.target_left[i] = arrivals[place, 2, i]
-                robots.heard_loop[i] = now
-            robots.heard_tick[i] += 1.0
-        waits = (now - robots.heard_loop[i]) * setup.dt
-        if waits > setup.faults.command_timeout + TIME_TOLERANCE:
-            robots.target_right[i] = robots.target_left[i] = 0.0
+            place = find_command(delays[i], slot, slots, turn=turn, loops=loops)
+            robots.target_right[i] = commands[place, RIGHT, i]
+            robots.target_left[i] = commands[place, LEFT, i]
 
 
 @jit
 def move_set_points(robots: Robots, count: int) -> None:
     """Move the set points of all wheels towards the boards' targets."""
-    points, ramp = robots.set_point, robots.ramp
+    points = robots.set_point
+    ramp = robots.ramp
     for i in range(count):
-        right, left = robots.target_right[i], robots.target_left[i]
+        right = robots.target_right[i]
+        left = robots.target_left[i]
         points[0, i] = move_towards(points[0, i], right, ramp[0, i])
         points[1, i] = move_towards(points[1, i], left, ramp[1, i])
         points[2, i] = move_towards(points[2, i], left, ramp[2, i])
@@ -277,12 +166,19 @@ def move_set_points(robots: Robots, count: int) -> None:
 @jit
 def turn_motors(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
     """Advance wheel speeds and angles by one loop, and store the encoder counts."""
-    physics, dt = robots.physics, setup.dt
+    physics = robots.physics
+    dt = setup.dt
     for k in range(4):
         for i in range(count):
-            before, wanted = robots.wheel_speed[k, i], robots.set_point[k, i]
-            gain, blend, deadband = physics.gain[k, i], physics.blend[k, i], physics.deadband[k, i]
-            speed = wheel_speed(before, wanted, gain, blend, deadband, physics.max_speed[i])
+            speed = wheel_speed(
+                robots.wheel_speed[k, i],
+                robots.set_point[k, i],
+                physics.gain[k, i],
+                blend=physics.blend[k, i],
+                deadband=physics.deadband[k, i],
+                top=physics.max_speed[i],
+            )
+
             angle = robots.wheel_angle[k, i] + speed * dt
             robots.wheel_speed[k, i] = speed
             robots.wheel_angle[k, i] = angle
@@ -290,7 +186,7 @@ def turn_motors(robots: Robots, counts: Floats, count: int, slot: int, setup: Se
 
 
 class Chassis(NamedTuple):
-    """The numbers of a `Physics` that `tyre_step` needs."""
+    """The numbers of a `Physics` that tyres need."""
 
     left_radius: float
     right_radius: float
@@ -300,6 +196,24 @@ class Chassis(NamedTuple):
     yaw_inertia: float
     grip: float
     slip_speed: float
+    kappa: float
+
+
+@jit
+def chassis_of(robots: Robots, i: int) -> Chassis:
+    """The chassis of robot i."""
+    physics = robots.physics
+    return Chassis(
+        left_radius=physics.left_radius[i],
+        right_radius=physics.right_radius[i],
+        half_wheelbase=physics.half_wheelbase[i],
+        half_track=physics.half_track[i],
+        mass=physics.mass[i],
+        yaw_inertia=physics.yaw_inertia[i],
+        grip=physics.grip[i],
+        slip_speed=physics.slip_speed[i],
+        kappa=physics.kappa[i],
+    )
 
 
 @jit
@@ -314,68 +228,54 @@ def move_bodies(robots: Robots, count: int, setup: Setup) -> None:
 @jit
 def slide_bodies(robots: Robots, count: int, isotropic: bool, dt: float) -> None:
     """Advance velocity and pose by one loop, with tyres that are isotropic or not."""
-    physics, wheels = robots.physics, robots.wheel_speed
+    wheels = robots.wheel_speed
     for i in range(count):
         sin, cos = sincos(robots.theta[i])
-        vx, vy, rate = robots.vx[i], robots.vy[i], robots.rate[i]
-        speeds = wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]
-        chassis = Chassis(
-            physics.left_radius[i],
-            physics.right_radius[i],
-            physics.half_wheelbase[i],
-            physics.half_track[i],
-            physics.mass[i],
-            physics.yaw_inertia[i],
-            physics.grip[i],
-            physics.slip_speed[i],
+        vx = robots.vx[i]
+        vy = robots.vy[i]
+        chassis = chassis_of(robots, i)
+        ahead, aside, rate = tyre_step(
+            cos * vx + sin * vy,
+            cos * vy - sin * vx,
+            robots.rate[i],
+            wheels=(wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]),
+            physics=chassis,
+            kappa=1.0 if isotropic else chassis.kappa,
+            dt=dt,
         )
-        kappa = 1.0 if isotropic else physics.kappa[i]
-        ahead, left, rate = tyre_step(
-            cos * vx + sin * vy, cos * vy - sin * vx, rate, speeds, chassis, kappa, dt
-        )
-        vx, vy = cos * ahead - sin * left, sin * ahead + cos * left
-        robots.vx[i], robots.vy[i], robots.rate[i] = vx, vy, rate
-        robots.x[i] += vx * dt
-        robots.y[i] += vy * dt
+
+        # Semi-implicit: the pose follows from the new velocity.
+        vx = cos * ahead - sin * aside
+        vy = sin * ahead + cos * aside
+        robots.vx[i] = vx
+        robots.vy[i] = vy
+        robots.rate[i] = rate
+        robots.true_x[i] += vx * dt
+        robots.true_y[i] += vy * dt
         robots.theta[i] += rate * dt
-
-
-class Tyres(NamedTuple):
-    """The numbers of a `Physics` that `motor_power` needs."""
-
-    left_radius: float
-    right_radius: float
-    half_wheelbase: float
-    half_track: float
-    grip: float
-    slip_speed: float
-    kappa: float
 
 
 @jit
 def add_work(robots: Robots, count: int, period: float) -> None:
     """Add the work of a tick, as `links.simulated.SimulatedLink`."""
-    own, wheels = robots.physics, robots.wheel_speed
+    wheels = robots.wheel_speed
     for i in range(count):
         sin, cos = sincos(robots.theta[i])
-        tyres = Tyres(
-            own.left_radius[i],
-            own.right_radius[i],
-            own.half_wheelbase[i],
-            own.half_track[i],
-            own.grip[i],
-            own.slip_speed[i],
-            own.kappa[i],
+        power = motor_power(
+            cos,
+            sin,
+            (robots.vx[i], robots.vy[i], robots.rate[i]),
+            wheels=(wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]),
+            physics=(chassis_of(robots, i),),
         )
-        velocity = robots.vx[i], robots.vy[i], robots.rate[i]
-        speeds = wheels[0, i], wheels[1, i], wheels[2, i], wheels[3, i]
-        robots.work[i] += motor_power(cos, sin, velocity, speeds, (tyres,)) * period
+        robots.work[i] += power * period
 
 
 @jit
 def read_encoders(robots: Robots, counts: Floats, i: int, slot: int, ago: int, window: int) -> None:
     """Set robot i's wheel speeds from what its encoders had counted `ago` firmware loops ago."""
-    slots, quantum = counts.shape[0], robots.quantum[i]
+    slots = counts.shape[0]
+    quantum = robots.quantum[i]
     new = slot - ago
     new += slots if new < 0 else 0
     old = new - window
@@ -389,7 +289,7 @@ def read_encoders(robots: Robots, counts: Floats, i: int, slot: int, ago: int, w
 
 @jit
 def newest_line(loops: float, delay: float, every: float) -> float:
-    """Number of the newest feedback line that has arrived by a firmware loop, without faults.
+    """Number of the newest feedback line that has arrived by a firmware loop.
 
     Line n is made n * `every` firmware loops after the reset, and used `delay` later.
     """
@@ -398,186 +298,119 @@ def newest_line(loops: float, delay: float, every: float) -> float:
 
 
 @jit
-def receive_line(robots: Robots, i: int, setup: Setup) -> float:
-    """Number of the newest feedback line that reaches robot i by the end of its tick; 0 for none.
-
-    `loops` must include the loops of this tick.
-    """
-    loops, every = robots.loops[i], robots.physics.feedback_loops[i]
-    delay = robots.feedback_delay[i]
-    now, received, newest = loops * setup.dt, 0.0, newest_line(loops, delay, every)
-    while robots.last_line[i] < newest:
-        line = robots.last_line[i] + 1.0
-        made = np.ceil(line * every - 1e-9)
-        arrived = np.ceil((made + delay) / setup.loops) * setup.period
-        before = robots.feedback_release[i]
-        when = release_time(robots.key[i], FEEDBACK_LINE, line - 1.0, arrived, before, setup.faults)
-        if when > now + TIME_TOLERANCE:
-            break
-        robots.last_line[i] = line
-        if not math.isnan(when):
-            robots.feedback_release[i] = when
-            received = line
-    return received
-
-
-@jit
-def read_feedback(
-    robots: Robots, counts: Floats, lines: Lines | None, count: int, slot: int, setup: Setup
-) -> None:
+def read_feedback(robots: Robots, counts: Floats, count: int, slot: int, setup: Setup) -> None:
     """Read the newest feedback line that has arrived by the end of a tick, if it is new."""
-    every, delays = robots.physics.feedback_loops, robots.feedback_delay
-    period, turns, window = setup.period, setup.loops, setup.window
+    every = robots.physics.feedback_loops
+    period = setup.period
+    turns = setup.loops
+    window = setup.window
     for i in range(count):
         robots.loops[i] += turns
-        if lines is not None:
-            line = receive_line(robots, i, setup)
-        else:
-            line = newest_line(robots.loops[i], delays[i], every[i])
-            line = line if line > robots.last_line[i] else 0.0
-        if line > 0.0:
-            robots.last_line[i] = max(robots.last_line[i], line)
-            robots.age[i] = 0.0
+
+        line = newest_line(robots.loops[i], robots.feedback_delay[i], every[i])
+        if line > robots.last_line[i] and line > 0.0:
+            robots.last_line[i] = line
+            robots.feedback_age[i] = 0.0
             made = np.ceil(line * every[i] - 1e-9)
-            read_encoders(robots, counts, i, slot, int(robots.loops[i] - made), window)
+            ago = int(robots.loops[i] - made)
+            read_encoders(robots, counts, i, slot=slot, ago=ago, window=window)
         else:
-            robots.age[i] += period
+            robots.feedback_age[i] += period
 
 
 @jit
 def update_odometry(robots: Robots, count: int, setup: Setup) -> None:
     """Update odometry with equations (1)-(10) on the newest wheel speeds."""
-    read, dt, rules = robots.read_speed, setup.period, robots.rules
+    speeds = robots.read_speed
+    rules = robots.rules
+    dt = setup.period
     for i in range(count):
-        linear, angular = forward(
-            read[0, i],
-            read[1, i],
-            read[2, i],
-            read[3, i],
-            rules.left_radius[i],
-            rules.right_radius[i],
-            rules.separation[i],
-        )
-        x, y, theta = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
-        sin, cos = sincos(theta)
-        x, y, theta = integrate(x, y, theta, cos, sin, linear, angular, dt)
-        robots.odom_x[i], robots.odom_y[i] = x, y
+        wheels = (speeds[0, i], speeds[1, i], speeds[2, i], speeds[3, i])
+        geometry = (rules.left_radius[i], rules.right_radius[i], rules.separation[i])
+        linear, angular = forward(*wheels, *geometry)
+
+        pose = (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i])
+        sin, cos = sincos(robots.odom_theta[i])
+        x, y, theta = integrate(*pose, cos, sin, linear, angular, dt)
+        robots.odom_x[i] = x
+        robots.odom_y[i] = y
         robots.odom_theta[i] = theta - TURN * np.floor(theta / TURN + 0.5)
-        robots.linear[i], robots.angular[i] = linear, angular
+        robots.linear[i] = linear
+        robots.angular[i] = angular
 
 
 @loop
-def step(  # noqa: C901, PLR0912, PLR0915 - every part that takes all tables compiles for longer
+def step(  # noqa: C901, PLR0912 - every part that takes all tables compiles for longer
     tables: Tables,
-    commands: Commands | None,
-    lines: Lines | None,
     scans: Scans | None,
     crowds: Crowds | None,
     first: int,
     last: int,
     setups: Records,
 ) -> None:
-    """Run physics and driver of these blocks over the ticks that `tables.ring` says.
+    """Run physics and driver of these blocks over the ticks of an env step.
 
-    The step ends with its last tick. `episode.reset` of the robots in `tables.over` comes after
-    this, then `lidars.read_scans` and the task's loop. Robots whose board falls silent during a
-    step end it as they were before it, but for their fault.
+    `episode.reset` of the robots in `tables.begins` comes after this, then `lidars.read_scans` and
+    the task's loop. `tables.cursor` moves on when all blocks have done the step.
     """
-    setup, start, stop = setups[0], tables.ring[2], tables.ring[3]
-    slots, line = tables.counts.shape[1], 0
+    setup = setups[0]
+    cursor = tables.cursor[0]
     for block in range(first, last):
-        robots, counts, begin = tables.blocks[block], tables.counts[block], block * BLOCK_ROBOTS
-        count = robots_of_block(block, len(tables.over))
-        if start == 0:
-            for i in range(count):
-                robots.action_linear[i] = min(max(tables.actions[begin + i, 0], -1.0), 1.0)
-                robots.action_angular[i] = min(max(tables.actions[begin + i, 1], -1.0), 1.0)
-                tables.idle[begin + i] = tables.over[begin + i]
-            if commands is None:
-                command_once(robots, count, setup)
-            if lines is not None:
-                for i in range(count):
-                    tables.idle[begin + i] |= robots.silent[i] > 0.0
-                    for row in range(lines.kept.shape[1]):
-                        lines.kept[block, row, i] = tables.numbers[block, row, i]
-        slot = (tables.ring[0] + start * setup.loops) % slots
-        if commands is not None:
-            line = (tables.ring[1] + start) % commands.shape[1]
-            sent = commands[block]
-        if lines is not None:
-            arrivals = lines.arrivals[block]
-        for tick in range(start, stop):
-            if commands is not None:
-                line = (line + 1) % commands.shape[1]
-                store_commands(robots, sent, count, line, setup)
-                if lines is not None:
-                    dispatch_commands(robots, sent, arrivals, count, line, setup)
+        robots = tables.blocks[block]
+        counts = tables.counts[block]
+        commands = tables.commands[block]
+        start = block * BLOCK_ROBOTS
+        count = robots_of_block(block, len(tables.begins))
+        slot = cursor.counts
+        line = cursor.commands
+
+        # The actions of this step.
+        for i in range(count):
+            robots.action_linear[i] = min(max(tables.actions[start + i, 0], -1.0), 1.0)
+            robots.action_angular[i] = min(max(tables.actions[start + i, 1], -1.0), 1.0)
+
+        for tick in range(setup.ticks):
+            # The driver writes a command line.
+            line = (line + 1) % commands.shape[0]
+            limit_twists(robots, count, setup)
+            store_commands(robots, commands, count, slot=line, setup=setup)
+
+            # Boards and bodies, in loops of the firmware.
             for turn in range(setup.loops):
-                if lines is not None:
-                    obey_commands(robots, arrivals, count, line, turn, setup)
-                elif commands is not None:
-                    follow_commands(robots, sent, count, line, turn, setup.loops)
-                else:
-                    hear_newest(robots, count, tick * setup.loops + turn)
+                slot = (slot + 1) % counts.shape[0]
+                follow_commands(robots, commands, count, slot=line, turn=turn, loops=setup.loops)
                 move_set_points(robots, count)
-                turn_motors(robots, counts, count, (slot + 1 + turn) % slots, setup)
+                turn_motors(robots, counts, count, slot=slot, setup=setup)
                 move_bodies(robots, count, setup)
-            slot = (slot + setup.loops) % slots
+
+            # People and contacts.
             if crowds is not None and scans is not None:
                 for i in range(count):
-                    after = int(robots.loops[i] / setup.loops) + 1
-                    if after >= robots.crowd_look[i]:
-                        advance_movers(robots, i, begin + i, after, crowds, scans, setup)
+                    now = int(robots.loops[i] / setup.loops) + 1
+                    if now >= robots.crowd_look[i]:
+                        advance_movers(
+                            robots, i, start + i, tick=now, crowds=crowds, scans=scans, setup=setup
+                        )
             if scans is not None:
                 check_contacts(robots, count, scans.around)
             if setup.metered:
                 add_work(robots, count, setup.period)
-            read_feedback(robots, counts, lines, count, slot, setup)
-            if lines is not None:
-                for i in range(count):
-                    silent = is_silent(robots.age[i], rules_of(robots, i, setup.period))
-                    tables.idle[begin + i] |= silent
+
+            # The driver reads feedback, which odometry integrates.
+            read_feedback(robots, counts, count, slot=slot, setup=setup)
             update_odometry(robots, count, setup)
+
+            # Where the robot and people are, for the LiDAR's next revolution.
             if scans is not None:
                 for i in range(count if setup.sees else 0):
-                    now = robots.steps[i] * setup.ticks + tick + 1.0
-                    mark_trails(robots, i, scans.trails, begin + i, now, setup)
+                    now = int(robots.steps[i]) * setup.ticks + tick + 1
+                    mark_trails(robots, i, scans.trails, robot=start + i, tick=now, setup=setup)
                     if crowds is not None and crowds.motions.reacting[int(robots.world[i])]:
-                        mark_movers(crowds, begin + i, int(now) % scans.trails.shape[2])
-        if commands is not None:
-            explain_commands(robots, count, setup)
-        if stop < setup.ticks:
-            continue
+                        mark_movers(crowds, start + i, now % scans.trails.shape[2])
+
+        # The end of the step.
+        explain_commands(robots, count, setup)
         for i in range(count):
             if crowds is not None and scans is not None:
-                survey_movers(robots, i, begin + i, crowds, scans, setup)
-            if lines is not None:
-                is_cut = tables.idle[begin + i] and not tables.over[begin + i]
-                if is_cut and lines.kept.shape[1] > 0:
-                    for row in range(EPISODE_ROWS):
-                        tables.numbers[block, row, i] = lines.kept[block, row, i]
-                    robots.fault[i] = SILENCE
+                survey_movers(robots, i, start + i, crowds=crowds, scans=scans, setup=setup)
             robots.steps[i] += 1.0
-
-
-@jit
-def settle_with_faults(robots: Robots, i: int, setup: Setup) -> None:
-    """Run robot i's reset with faults: it waits for two fresh readings, as `Robot.reset`.
-
-    Where the single env would raise BoardSilentError, `silent` is set.
-    """
-    ticks, fresh, age = 0.0, 0, 0.0
-    rules = rules_of(robots, i, setup.period)
-    robots.last_command[i], robots.last_line[i] = -1.0, 0.0
-    while fresh < 2:
-        send_command(robots, i, ticks, setup)
-        ticks += 1.0
-        robots.loops[i] = ticks * setup.loops
-        is_fresh = receive_line(robots, i, setup) > 0.0
-        age = 0.0 if is_fresh else age + setup.period
-        fresh += is_fresh
-        if is_silent(age, rules) or (fresh < 2 and ticks >= setup.faults.patience):
-            robots.silent[i] = 1.0
-            break
-    robots.heard_tick[i] = ticks - 1.0
-    robots.heard_loop[i] = -1e18

@@ -9,25 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.jit import jit, loop
-from acsar_gym.links.faults import WHOLE_EPISODE, line_hash
 from acsar_gym.physics.model import whole_loops
 from acsar_gym.physics.randomization import draw_robot
 from acsar_gym.tasks.episode import goal_at
 from acsar_gym.tasks.task import point_in_disc, relative_point
 from acsar_gym.vector.kernel.crowds import begin_movers
-from acsar_gym.vector.kernel.drive import newest_line, settle_with_faults
+from acsar_gym.vector.kernel.drive import newest_line
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
     EPISODE_ROWS,
     PHYSICS_ROW,
     TURN,
-    Commands,
     Crowds,
     Draws,
-    Lines,
+    Floats,
     Records,
     Robots,
     Scans,
+    Setup,
     Spawns,
     Tables,
     robots_of_block,
@@ -35,65 +34,110 @@ from acsar_gym.vector.kernel.layout import (
 from acsar_gym.vector.pcg import uniform
 from acsar_gym.worlds.movers import RADIUS
 
+Generators = NDArray[np.uint64]
+
 
 @jit
 def count_settle_ticks(delay: float, every: float, loops: float) -> float:
     """Number of ticks that a reset waits for two fresh readings, as in `Robot.reset`."""
-    one: float = np.ceil((np.ceil(every - 1e-9) + delay) / loops)
-    two: float = np.ceil((np.ceil(2.0 * every - 1e-9) + delay) / loops)
-    return max(one + 1.0, two)
+    first: float = np.ceil((np.ceil(every - 1e-9) + delay) / loops)
+    second: float = np.ceil((np.ceil(2.0 * every - 1e-9) + delay) / loops)
+    return max(first + 1.0, second)
 
 
 @jit
-def draw_goal(
-    robots: Robots, i: int, random: NDArray[np.uint64], robot: int, spawns: Spawns
-) -> None:
+def clear_robot(numbers: Floats, counts: Floats, commands: Floats, i: int) -> None:
+    """Set to zero what robot i of a block remembers of its last episode."""
+    for row in range(EPISODE_ROWS):
+        numbers[row, i] = 0.0
+    for slot in range(counts.shape[0]):
+        for k in range(4):
+            counts[slot, k, i] = 0.0
+    for slot in range(commands.shape[0]):
+        for side in range(2):
+            commands[slot, side, i] = 0.0
+
+
+@jit
+def draw_goal(robots: Robots, i: int, random: Generators, robot: int, spawns: Spawns) -> None:
     """Set robot i's goal on an open floor: as its reset option says, or drawn in any direction."""
     robots.start_cos[i] = 1.0
     if robots.wished_goal[i] > 0.0:
-        robots.goal_x[i], robots.goal_y[i] = robots.wished_x[i], robots.wished_y[i]
+        robots.goal_x[i] = robots.wished_x[i]
+        robots.goal_y[i] = robots.wished_y[i]
         return
-    distance = spawns.min_distance + (spawns.max_distance - spawns.min_distance) * uniform(
-        random, robot
-    )
+
+    span = spawns.max_distance - spawns.min_distance
+    distance = spawns.min_distance + span * uniform(random, robot)
     bearing = -math.pi + (math.pi - -math.pi) * uniform(random, robot)
-    robots.goal_x[i], robots.goal_y[i] = goal_at(distance, bearing)
+    x, y = goal_at(distance, bearing)
+    robots.goal_x[i] = x
+    robots.goal_y[i] = y
 
 
 @jit
-def draw_start(
-    robots: Robots, i: int, random: NDArray[np.uint64], robot: int, spawns: Spawns
-) -> None:
+def draw_start(robots: Robots, i: int, random: Generators, robot: int, spawns: Spawns) -> None:
     """Set robot i's world, start and goal, as `tasks.episode.draw_in_world`."""
-    u0, u1, u2 = uniform(random, robot), uniform(random, robot), uniform(random, robot)
-    u3, u4, u5 = uniform(random, robot), uniform(random, robot), uniform(random, robot)
-    low, high = int(robots.first_rank[i]), int(robots.last_rank[i])
-    first, worlds = int(robots.first_world[i]), int(robots.worlds[i])
-    world = first + min(int(u0 * worlds), worlds - 1)
+    of_world = uniform(random, robot)
+    of_start = (uniform(random, robot), uniform(random, robot))
+    of_heading = uniform(random, robot)
+    of_goal = (uniform(random, robot), uniform(random, robot))
+
+    # The world: by its number, among those of a difficulty, or among all.
+    low = int(robots.first_rank[i])
+    high = int(robots.last_rank[i])
+    first = int(robots.first_world[i])
+    worlds = int(robots.worlds[i])
+    world = first + min(int(of_world * worlds), worlds - 1)
     if robots.wished_world[i] > 0.0:
         world = first + int(robots.wished_world[i]) - 1
     elif high > low:
-        world = spawns.order[first + low + min(int(u0 * (high - low)), high - low - 1)]
-    start, goal = spawns.starts[world], spawns.goals[world]
-    x, y = point_in_disc(start[0], start[1], start[2], u1, u2)
-    theta = (2.0 * u3 - 1.0) * math.pi if np.isnan(start[3]) else start[3]
-    goal_x, goal_y = point_in_disc(goal[0], goal[1], goal[2], u4, u5)
-    cos, sin = math.cos(theta), math.sin(theta)
+        rank = low + min(int(of_world * (high - low)), high - low - 1)
+        world = spawns.order[first + rank]
     robots.world[i] = world
-    robots.start_x[i], robots.start_y[i], robots.start_theta[i] = x, y, theta
-    robots.start_cos[i], robots.start_sin[i] = cos, sin
-    ahead, left = relative_point(x, y, cos, sin, goal_x, goal_y)
-    given = robots.wished_goal[i]
-    robots.goal_x[i] = robots.wished_x[i] if given > 0.0 else ahead
-    robots.goal_y[i] = robots.wished_y[i] if given > 0.0 else left
-    robots.goal_given[i] = given
+
+    # The start, in the frame of the world.
+    start = spawns.starts[world]
+    x, y = point_in_disc(start.x, start.y, start.radius, of_start[0], of_start[1])
+    theta = (2.0 * of_heading - 1.0) * math.pi if np.isnan(start.theta) else start.theta
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    robots.start_x[i] = x
+    robots.start_y[i] = y
+    robots.start_theta[i] = theta
+    robots.start_cos[i] = cos
+    robots.start_sin[i] = sin
+
+    # The goal, in the odometry frame.
+    goal = spawns.goals[world]
+    goal_x, goal_y = point_in_disc(goal.x, goal.y, goal.radius, of_goal[0], of_goal[1])
+    ahead, aside = relative_point(x, y, cos, sin=sin, other_x=goal_x, other_y=goal_y)
+    is_wished = robots.wished_goal[i]
+    robots.goal_x[i] = robots.wished_x[i] if is_wished > 0.0 else ahead
+    robots.goal_y[i] = robots.wished_y[i] if is_wished > 0.0 else aside
+    robots.goal_given[i] = is_wished
+
+
+@jit
+def time_lines(robots: Robots, i: int, setup: Setup) -> None:
+    """Compute how long lines of robot i's episode take, and how long its reset waits for them."""
+    physics = robots.physics
+    late = physics.latency_loops[i]
+    every = physics.feedback_loops[i]
+    reaction = setup.wire_time + physics.command_delay[i]
+    delay = late + whole_loops(setup.wire_time, setup.dt)
+    loops = count_settle_ticks(delay, every, setup.loops) * setup.loops
+
+    robots.command_loops[i] = late + whole_loops(reaction, setup.dt)
+    robots.feedback_delay[i] = delay
+    robots.loops[i] = loops
+    robots.last_line[i] = newest_line(loops, delay, every)
 
 
 @loop
-def reset(  # noqa: C901, PLR0912, PLR0913, PLR0917 - as `drive.step`
+def reset(  # noqa: C901, PLR0913, PLR0917 - as `drive.step`
     tables: Tables,
-    commands: Commands | None,
-    lines: Lines | None,
+    matrices: Floats,
     scans: Scans | None,
     crowds: Crowds | None,
     draws: Draws,
@@ -102,69 +146,57 @@ def reset(  # noqa: C901, PLR0912, PLR0913, PLR0917 - as `drive.step`
     setups: Records,
     spawns: Spawns,
 ) -> None:
-    """Begin new episodes for the robots of these blocks that are in `tables.over`.
+    """Begin new episodes for the robots of these blocks that are in `tables.begins`.
 
-    They are at rest, with new start, goal and physics. Where a single env's reset would fail
-    because the board is silent, `silent` is set.
+    They are at rest, with new start, goal and physics. `matrices` are the same memory as the
+    blocks, see `layout.view_numbers`.
     """
-    setup, random = setups[0], tables.random
+    setup = setups[0]
+    random = tables.random
     samples = np.zeros(draws.low.shape[1])
     for block in range(first, last):
         robots = tables.blocks[block]
-        for i in range(robots_of_block(block, len(tables.over))):
+        numbers = matrices[block]
+        for i in range(robots_of_block(block, len(tables.begins))):
             robot = block * BLOCK_ROBOTS + i
-            if not tables.over[robot]:
+            if not tables.begins[robot]:
                 continue
-            for row in range(EPISODE_ROWS):
-                tables.numbers[block, row, i] = 0.0
-            for slot in range(tables.counts.shape[1]):
-                for k in range(4):
-                    tables.counts[block, slot, k, i] = 0.0
-            if commands is not None:
-                for slot in range(commands.shape[1]):
-                    commands[block, slot, 0, i] = commands[block, slot, 1, i] = 0.0
-            if lines is not None:
-                key = uniform(random, robot)
-                ill = line_hash(key, WHOLE_EPISODE, 0.0, 0) < setup.faults.episodes
-                robots.key[i] = key if ill else -1.0
+            clear_robot(numbers, tables.counts[block], tables.commands[block], i)
+
+            # World, start and goal.
             if len(spawns.starts) == 0:
-                draw_goal(robots, i, random, robot, spawns)
+                draw_goal(robots, i, random, robot=robot, spawns=spawns)
             else:
-                draw_start(robots, i, random, robot, spawns)
-                if (
-                    crowds is not None
-                    and crowds.motions.movers[int(robots.world[i]), 0, RADIUS] > 0.0
-                ):
-                    robots.crowd_key[i] = uniform(random, robot)
+                draw_start(robots, i, random, robot=robot, spawns=spawns)
+                if crowds is not None:
+                    world = int(robots.world[i])
+                    if crowds.motions.movers[world, 0, RADIUS] > 0.0:
+                        robots.crowd_key[i] = uniform(random, robot)
+
+            # The episode's physics.
             kind = int(robots.kind[i])
-            low, high = draws.low[kind], draws.high[kind]
+            low = draws.low[kind]
+            high = draws.high[kind]
             for k in range(len(samples)):
                 if high[k] > low[k]:
                     samples[k] = uniform(random, robot)
-            delays = draws.delays[kind, : draws.delay_counts[kind]]
             physics, drawn = draw_robot(
-                draws.nominal[kind], low, high, delays=delays, samples=samples, dt=setup.dt
+                draws.nominal[kind],
+                low,
+                high,
+                delays=draws.delays[kind, : draws.delay_counts[kind]],
+                samples=samples,
+                dt=setup.dt,
             )
             for k in range(len(physics)):
-                tables.numbers[block, PHYSICS_ROW + k, i] = physics[k]
+                numbers[PHYSICS_ROW + k, i] = physics[k]
             for k in range(draws.drawn.shape[1]):
                 draws.drawn[robot, k] = drawn[k]
-            late = physics.latency_loops
-            delay, every = late + whole_loops(setup.wire_time, setup.dt), physics.feedback_loops
-            reaction = setup.wire_time + physics.command_delay
-            robots.command_loops[i] = late + whole_loops(reaction, setup.dt)
-            robots.feedback_delay[i] = delay
-            loops = count_settle_ticks(delay, every, setup.loops) * setup.loops
-            robots.loops[i], robots.last_line[i] = loops, newest_line(loops, delay, every)
-            if lines is not None:
-                settle_with_faults(robots, i, setup)
-                if robots.silent[i] > 0.0:
-                    for k in range(tables.ranges.shape[1]):
-                        tables.ranges[robot, k] = 0.0
-                    for k in range(setup.numbers, setup.first_ray + tables.ranges.shape[1]):
-                        tables.observations[robot, k] = 0.0
+
+            # The ticks in which the reset waits. People walk in them.
+            time_lines(robots, i, setup)
             if crowds is not None and scans is not None:
-                begin_movers(robots, i, robot, crowds, scans, setup)
+                begin_movers(robots, i, robot, crowds=crowds, scans=scans, setup=setup)
 
 
 @loop
@@ -174,13 +206,18 @@ def update_info(blocks: Any, first: int, last: int, setups: Records) -> None:
     for block in range(first, last):
         robots = blocks[block]
         for i in range(BLOCK_ROBOTS):
-            x, y, theta = robots.x[i], robots.y[i], robots.theta[i]
-            to_x, to_y = robots.goal_x[i] - x, robots.goal_y[i] - y
-            off_x, off_y = robots.odom_x[i] - x, robots.odom_y[i] - y
+            theta = robots.theta[i]
             robots.true_theta[i] = theta - TURN * np.floor(theta / TURN + 0.5)
-            robots.goal_distance[i] = math.sqrt(to_x * to_x + to_y * to_y)
-            robots.odom_error[i] = math.sqrt(off_x * off_x + off_y * off_y)
-            robots.success[i] = 1.0 if robots.outcome[i] == 1.0 else 0.0
+
+            goal_dx = robots.goal_x[i] - robots.true_x[i]
+            goal_dy = robots.goal_y[i] - robots.true_y[i]
+            robots.true_goal_distance[i] = math.sqrt(goal_dx * goal_dx + goal_dy * goal_dy)
+
+            odom_dx = robots.odom_x[i] - robots.true_x[i]
+            odom_dy = robots.odom_y[i] - robots.true_y[i]
+            robots.odometry_error[i] = math.sqrt(odom_dx * odom_dx + odom_dy * odom_dy)
+
+            robots.is_success[i] = 1.0 if robots.outcome[i] == 1.0 else 0.0
             if setup.sees:
                 age = robots.loops[i] * setup.dt - robots.scan_stamp[i]
                 robots.scan_age[i] = age

@@ -1,12 +1,15 @@
 """The arrays of a batch: records of its robots, and the named tuples that compiled loops take.
 
-The robots of a batch are kept in blocks. A block is one record, and each of its fields an array
+The robots of a batch are kept in blocks. A block is one record, and each of its fields is an array
 over the block's robots: `robots = blocks[block]`, then `robots.goal_x[i]`. So loops over the
-robots of a block run over contiguous memory and can be vectorized, which they can't where every
+robots of a block run over contiguous memory and can be vectorized, which isn't possible if every
 robot is a record of its own.
 
-To add a number of a robot: add a field to `Episode`, to `Build` where its configuration decides, or
-to `Robots` where it outlives episodes otherwise. What all robots share is in `Setup`.
+Fields that info contains have the names of its keys, see `tasks.state`.
+
+To add a number of a robot, add a field to `Episode`, to `Build` if it follows from the robot's
+configuration, or to `Robots` if it outlives episodes otherwise. What all robots share is in
+`Setup`.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,23 +29,27 @@ from acsar_gym.worlds.geometry import Surroundings
 from acsar_gym.worlds.movers import Motions
 
 Floats = NDArray[np.float64]
-Number = Annotated[Floats, ()]  # a number of each robot of a block, (BLOCK_ROBOTS,)
+Number = Annotated[Floats, ()]
+"""A number of each robot of a block, (BLOCK_ROBOTS,)."""
 WheelNumber = Annotated[Floats, (4,)]
 """A number of each wheel of each robot of a block, (4, BLOCK_ROBOTS), in the order of wheels."""
+Fields = list[tuple[str, Any, tuple[int, ...]]]
+"""Fields of a record: name, type and shape."""
 
 BLOCK_ROBOTS = 64
 """Robots of a block. They go through a whole env step together, so that they stay in the cache."""
 TURN = 2.0 * math.pi
+RIGHT, LEFT = range(2)
+"""Sides of a robot in `Tables.commands`."""
+ODOMETRY, TRUTH = range(2)
+"""Whose poses are in `Scans.trails`."""
 
 
 class Episode:
-    """Numbers that are zero when an episode begins; flags and codes are numbers, too.
+    """Numbers that are zero when an episode starts. Flags and codes are numbers too."""
 
-    Where a board falls silent in a step, they become again what they were before it.
-    """
-
-    x: Number  # position of the body [m], in the odometry frame as the next ones
-    y: Number
+    true_x: Number  # position of the body [m], in the odometry frame as the next ones
+    true_y: Number
     theta: Number  # its heading [rad]
     vx: Number  # its velocity [m/s]
     vy: Number
@@ -53,14 +60,10 @@ class Episode:
 
     target_right: Number  # speeds of the right and left wheels that the board aims at [rad/s]
     target_left: Number
-    new_right: Number
-    """Those of the newest command, as the next ones where it is the same in all ticks of a step."""
-    new_left: Number
-    heard: Number  # from which firmware loop of a step the board knows the newest command
 
     loops: Number  # firmware loops since the reset
     last_line: Number  # number of the newest feedback line that has arrived
-    age: Number  # of the newest feedback [s]
+    feedback_age: Number  # of the newest feedback [s]
     read_speed: WheelNumber  # wheel speeds by the newest feedback [rad/s]
     odom_x: Number  # pose by odometry [m, m, rad]
     odom_y: Number
@@ -77,7 +80,7 @@ class Episode:
     steps: Number  # env steps since the reset
     total_reward: Number
     outcome: Number  # see `tasks.task.Outcome`
-    contact: Number  # whether the robot has touched an obstacle
+    true_contact: Number  # whether the robot has touched an obstacle
     world: Number  # index of the world
     start_x: Number
     """The start in the frame of the world [m, m, rad], and cosine and sine of its direction."""
@@ -92,43 +95,33 @@ class Episode:
 
     sent_linear: Number  # the newest twist that was sent [m/s, rad/s]
     sent_angular: Number
-    reason: Number  # why it isn't the one asked for, see `safety.rules.Reason`
+    sent_reason: Number  # why it isn't the one asked for, see `safety.rules.Reason`
     latched: Number  # the reason that holds the robot until the reset
     new_linear: Number  # the newest twist by the limits, and the one before it [m/s, rad/s]
     new_angular: Number
     past_linear: Number
     past_angular: Number
 
-    true_theta: Number  # for info alone, as the next ones: the heading within half a turn [rad]
-    goal_distance: Number  # [m]
-    odom_error: Number  # distance between the position and that by odometry [m]
-    success: Number
-    work: Number  # mechanical work of the motors, where the batch is `metered` [J]
+    true_theta: Number  # only for info, as the next ones: the heading within half a turn [rad]
+    true_goal_distance: Number  # [m]
+    odometry_error: Number  # distance between the position and that by odometry [m]
+    is_success: Number
+    work: Number  # mechanical work of the motors, if the batch is `metered` [J]
     scan_age: Number  # [s]
     scan_stale: Number
 
-    crowd_key: Number  # the episode's draw for movers, as the next ones where worlds move
+    crowd_key: (
+        Number  # the episode's draw for movers. this and the next ones are for worlds that move
+    )
     crowd_look: Number  # the next tick in which the robot can touch a mover, or people walk
-    closest_person: Number  # for info alone, as the next ones [m]
+    closest_person: Number  # only for info, as the next ones [m]
     time_to_collision: Number  # [s]
-    intrusions: Number  # how often the robot has entered somebody's personal space
+    intrusions: Number  # how often the robot has entered a person's personal space
     person_contact: Number  # who ran into whom, see `worlds.crowd.ROBOT_HIT`
-
-    key: Number
-    """The episode's, which decides on lost and late lines; negative where none are. This and the
-    next ones are used where lines may be lost or late."""
-    last_command: Number  # the newest command that the wire has passed on or lost
-    command_release: Number  # when it passed on the newest command [s]
-    feedback_release: Number  # when it passed on the newest feedback [s]
-    board_free: Number  # when the board's UART is free [s]
-    heard_tick: Number  # up to which tick the board has taken over commands
-    heard_loop: Number  # in which firmware loop the board got the newest command
-    silent: Number  # whether the board was silent in the reset
-    fault: Number  # the code of info
 
 
 class Options:
-    """Options of a reset, for this and all later episodes; zero where there are none."""
+    """Options of a reset, for this and all later episodes. Zero if there are none."""
 
     wished_world: Number  # index of the world, from 1
     wished_goal: Number  # whether a goal is asked for
@@ -140,19 +133,19 @@ class Options:
 
 
 class Build:
-    """What follows from a robot's configuration; written once, when the batch is made."""
+    """What follows from a robot's configuration. It is written once, when the batch is made."""
 
     kind: Number  # which of the batch's configurations it has: an index into arrays of kinds
     ramp: WheelNumber
     """Most that the set points of the four wheels change in a firmware loop [rad/s]."""
     counts_per_radian: Number  # encoder counts per angle of a wheel [1/rad]
     speed_per_count: Number  # wheel speed for one count within the encoders' window [rad/s]
-    quantum: Number  # printed speeds are rounded to multiples of this [rad/s]; 0 where they aren't
+    quantum: Number  # printed speeds are rounded to multiples of this [rad/s], or 0
     max_linear: Number  # linear velocity of a full action [m/s]
     max_angular: Number  # angular velocity of a full action [rad/s]
     stale: Number  # age from which a scan counts as stale [s]
     rays: Number  # how many rays its LiDAR has
-    first_world: Number  # index of the first world that was made for its footprint
+    first_world: Number  # index of the first world for its footprint
     worlds: Number  # how many there are
 
 
@@ -162,12 +155,15 @@ class Robots(Episode, Options, Build):
     command_loops: Number  # how long this episode's commands are on their way [firmware loops]
     feedback_delay: Number  # how long this episode's feedback is on its way [firmware loops]
     physics: Any
-    """The fields of `Physics`, drawn for the episode; numbers of wheels as `gain`, (4, robots)."""
+    """The fields of `Physics`, drawn for the episode. Numbers of wheels are like `gain`,
+    (4, robots)."""
     rules: Any
-    """The fields of `SafetyRules`, see `rules_of`; those of an axis as `linear_max_velocity`."""
+    """The fields of `SafetyRules`, see `rules_of`. Those of an axis are like
+    `linear.max_velocity`. (A record for each kind of robots would take half as long again in
+    every step, because loops over robots can't be vectorized then.)"""
 
 
-def _fields(kind: type) -> list[tuple[str, Any, tuple[int, ...]]]:
+def _fields(kind: type) -> Fields:
     """Fields of a record for the numbers that a class declares."""
     return [
         (name, np.float64, (*hint.__metadata__[0], BLOCK_ROBOTS))
@@ -176,9 +172,9 @@ def _fields(kind: type) -> list[tuple[str, Any, tuple[int, ...]]]:
     ]
 
 
-def _physics_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
-    """Fields of a record for `Physics`: those of four wheels, named _a to _d, are one."""
-    fields: list[tuple[str, Any, tuple[int, ...]]] = []
+def _physics_fields() -> Fields:
+    """Fields of a record for `Physics`. Those of four wheels, named _a to _d, are one field."""
+    fields: Fields = []
     for name in Physics._fields:
         stem, _, wheel = name.rpartition("_")
         if wheel == "a":
@@ -188,13 +184,13 @@ def _physics_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
     return fields
 
 
-def _rules_fields() -> list[tuple[str, Any, tuple[int, ...]]]:
-    """Fields of a record for `SafetyRules`, but for the period, which robots share."""
-    names: list[str] = []
-    for name in SafetyRules._fields[1:]:
-        axis = name in ("linear", "angular")
-        names += [f"{name}_{limit}" for limit in AxisLimits._fields] if axis else [name]
-    return [(name, np.float64, (BLOCK_ROBOTS,)) for name in names]
+def _rules_fields(kind: Any) -> list[Any]:
+    """Fields of a record for `SafetyRules`, without the period, which robots share."""
+    return [
+        (name, _rules_fields(hint)) if hint is AxisLimits else (name, np.float64, (BLOCK_ROBOTS,))
+        for name, hint in get_type_hints(kind).items()
+        if name != "period"
+    ]
 
 
 BLOCK = np.dtype(
@@ -204,7 +200,7 @@ BLOCK = np.dtype(
         *_fields(Robots),
         ("physics", _physics_fields()),
         *_fields(Build),
-        ("rules", _rules_fields()),
+        ("rules", _rules_fields(SafetyRules)),
     ]
 )
 """The record of a block: `Robots`."""
@@ -212,50 +208,35 @@ ROWS = {
     name: range(offset // (8 * BLOCK_ROBOTS), (offset + kind.itemsize) // (8 * BLOCK_ROBOTS))
     for name, (kind, offset, *_) in (BLOCK.fields or {}).items()
 }
-"""Rows of a field where a block is seen as a matrix of numbers and robots, see `Tables.numbers`."""
-EPISODE_ROWS = ROWS[_fields(Episode)[-1][0]].stop
-"""How many rows an episode has; they are the first ones."""
+"""Rows of a field if a block is seen as a matrix of numbers and robots, see `view_numbers`."""
 OPTIONS = tuple(name for name, *_ in _fields(Options))
-PHYSICS_ROW = ROWS["physics"].start
 BUILD = tuple(name for name, *_ in _fields(Build))
-BUILD_ROW = ROWS[BUILD[0]].start  # the first row of `Build` and `rules`; they are the last ones
+EPISODE_ROWS = ROWS[OPTIONS[0]].start
+"""How many rows an episode has. They are the first ones."""
+PHYSICS_ROW = ROWS["physics"].start
 
 
 def make_blocks(robots: int) -> NDArray[Any]:
-    """Blocks for so many robots, all zero; the last block may have more."""
+    """Blocks for these robots, all zero. The last block may have room for more."""
     return np.zeros(-(-robots // BLOCK_ROBOTS), BLOCK)
 
 
 def view_numbers(blocks: NDArray[Any]) -> Floats:
-    """The same memory as (blocks, rows, BLOCK_ROBOTS)."""
+    """The same memory as (blocks, rows, BLOCK_ROBOTS), for what treats many fields alike."""
     return np.asarray(blocks).view(np.float64).reshape(len(blocks), -1, BLOCK_ROBOTS)
 
 
-def read_fields(numbers: Floats, names: Sequence[str], robots: Any) -> Floats:
-    """Copy fields of some robots, (numbers, robots); those of wheels are four numbers."""
+def read_fields(blocks: NDArray[Any], names: Sequence[str], robots: Any) -> Floats:
+    """Copy fields of some robots, (numbers, robots). Those of wheels are four numbers."""
     rows = [row for name in names for row in ROWS[name]]
-    fields: Floats = numbers[:, rows].swapaxes(0, 1).reshape(len(rows), -1)[:, robots]
+    numbers = view_numbers(blocks)[:, rows].swapaxes(0, 1).reshape(len(rows), -1)
+    fields: Floats = numbers[:, robots]
     return fields
 
 
-class LineFaults(NamedTuple):
-    """Faults of the lines between drivers and boards; see `links.faults.Faults`."""
-
-    possible: bool  # whether any fault can occur
-    episodes: float  # share of episodes that have faults
-    feedback: bool  # whether feedback lines have faults
-    commands: bool  # whether command lines have faults
-    dropped: float  # share of lines that are lost
-    late: float  # share of lines that are late
-    lateness: float  # how much later they are [s]
-    patience: float  # ticks that a reset waits for the wheels to stand, at most
-    line_time: float  # duration of a command line on the wire [s]
-    processing_time: float  # from the last byte of a command to its use by the board [s]
-    command_timeout: float  # A board that gets no command for so long stops its motors [s]
-
-
 Records = Any
-"""A record of Setup, see `jit.record_of`: named tuples of so many numbers take long to compile."""
+"""A record of Setup, see `jit.record_of`. Named tuples of this many numbers take long to
+compile."""
 
 
 class Setup(NamedTuple):
@@ -268,27 +249,32 @@ class Setup(NamedTuple):
     window: int  # firmware loops over which the encoders average
     ticks: int  # control periods in an env step
     loops: int  # firmware loops in a control period
-    max_steps: float  # time limit of an episode [env steps]; infinite for none
-    faults: LineFaults  # faults of the lines
+    max_steps: float  # time limit of an episode [env steps], infinite for none
     sees: bool  # whether the robots have a LiDAR
     numbers: int
-    """Numbers of an observation that are the task's own; those of the sensors follow, those of map
-    and LiDAR first."""
-    first_ray: int  # place of the LiDAR's first number in an observation
+    """Numbers of an observation that are the task's own. Those of the sensors follow."""
+    first_ray: int  # column of the LiDAR's first number in an observation
     metered: bool = False  # whether the work of the motors is measured
 
 
+class Cursor(NamedTuple):
+    """Where the rings of a batch are after the last step. Slots of a ring are used in turn."""
+
+    counts: int  # slot of `Tables.counts` that the last firmware loop wrote
+    commands: int  # slot of `Tables.commands` that the last tick wrote
+
+
 class Spawns(NamedTuple):
-    """Starts, goals and paths of the worlds; the goal distances for an open floor."""
+    """Starts, goals and paths of the worlds, and the goal distances for an open floor."""
 
     min_distance: float  # nearest goal on an open floor [m]
     max_distance: float  # farthest goal on an open floor [m]
-    starts: Floats  # (worlds, 4): x, y, radius [m] and theta [rad], NaN for any direction
-    goals: Floats  # (worlds, 3): x, y, radius [m]
+    starts: Any  # (worlds,): records of START
+    goals: Any  # (worlds,): records of GOAL
     lengths: Floats  # (worlds,): lengths of the worlds' paths [m]
     paths: Floats
     """(worlds, samples, 3): the paths to follow, x [m], y [m], direction [rad], in the odometry
-    frame; one world without samples where the task follows none."""
+    frame. One world without samples if the task follows no path."""
     samples: NDArray[np.int64]
     """(worlds,): number of samples of each path."""
     order: NDArray[np.int64]
@@ -296,32 +282,35 @@ class Spawns(NamedTuple):
     after another's."""
 
 
+START = np.dtype([("x", "f8"), ("y", "f8"), ("radius", "f8"), ("theta", "f8")])
+"""A disc in which episodes start [m], and their heading [rad], NaN for any heading."""
+GOAL = np.dtype([("x", "f8"), ("y", "f8"), ("radius", "f8")])
+"""A disc in which goals are [m]."""
+
+
 class Tables(NamedTuple):
     """The arrays of a batch of R robots that all loops need."""
 
     blocks: Any  # (blocks,): records of `Robots`
-    numbers: Floats
-    """(blocks, rows, BLOCK_ROBOTS): the same memory, for what treats many fields alike."""
     counts: Floats  # (blocks, firmware loops, 4, BLOCK_ROBOTS): a ring of encoder counts
+    commands: Floats
+    """(blocks, ticks, 2, BLOCK_ROBOTS): a ring of command lines, wheel speeds of RIGHT and LEFT
+    [rad/s], each kept until the board uses it."""
+    cursor: Any  # (1,): record of `Cursor`
     random: NDArray[np.uint64]
     """(R, 4): generators, see `pcg`."""
-    actions: Floats  # (R, 2): linear and angular, as given to the step
-    over: NDArray[np.bool_]  # (R,): whether the robot begins a new episode in this step or reset
-    idle: NDArray[np.bool_]
-    """(R,): whether the robot doesn't drive: it begins anew, its board is silent, or this is a
-    reset."""
+    actions: Floats  # (R, 2): linear and angular, of the step
+    begins: NDArray[np.bool_]  # (R,): whether the robot starts an episode in this step or reset
+    drives: NDArray[np.bool_]  # (R,): whether the robot drives in this step
     ranges: Floats
-    """(R, rays): the LiDAR's newest scan [m]; a robot may have fewer, see `Build.rays`."""
+    """(R, rays): the LiDAR's newest scan [m]. A robot may have fewer, see `Build.rays`."""
     edges: Floats
     """(kinds, rays): distance from the LiDAR to the edge of the footprint along each ray [m]."""
     observations: NDArray[np.float32]
     """(R, numbers)."""
     rewards: Floats  # (R,)
-    ends: NDArray[np.bool_]  # (2, R): terminated, truncated
-    ring: NDArray[np.int64]
-    """(4,): the slot of `counts` that the last loop of the last step wrote, the slot of
-    `Commands` that its last tick wrote, and the first tick (and the one after the last) of a
-    step that the next call drives."""
+    terminated: NDArray[np.bool_]  # (R,)
+    truncated: NDArray[np.bool_]  # (R,)
 
 
 class Draws(NamedTuple):
@@ -333,38 +322,21 @@ class Draws(NamedTuple):
     delays: Floats  # (kinds, delays): what randomized delays of commands are drawn from [s]
     delay_counts: NDArray[np.int64]
     """(kinds,): how many of these a kind has."""
-    drawn: Floats  # (R, numbers): what the episodes have drawn; no numbers where nothing varies
+    drawn: Floats  # (R, numbers): what the episodes have drawn. No numbers if nothing varies
 
 
-# Loops get None in the place of these where a batch doesn't need them, and numba then leaves away
-# what stands behind `if scans is not None`: most batches compile less than half of the code.
-
-
-Commands = Floats
-"""(blocks, ticks, 2, BLOCK_ROBOTS): a ring of command lines, wheel speeds right and left [rad/s],
-each kept until the board uses it. For limits, a geofence, faults, and commands that take longer
-than a step."""
-
-
-class Lines(NamedTuple):
-    """Lines that may be lost or late, see `LineFaults`."""
-
-    arrivals: Floats
-    """(blocks, ticks, 3, BLOCK_ROBOTS): the firmware loop in which the boards get what the wire
-    passed on in a tick, and its two wheel speeds."""
-    kept: Floats
-    """(blocks, EPISODE_ROWS, BLOCK_ROBOTS): the episodes before the step; no rows where boards
-    can't fall silent."""
+# Loops get None in the place of the next ones if a batch doesn't need them, and numba then leaves
+# out what depends on `if scans is not None`: most batches compile less than half of the code.
 
 
 class Scans(NamedTuple):
-    """What LiDARs and contacts need: robots with a LiDAR, or in worlds with obstacles."""
+    """What LiDARs and contacts need, for robots with a LiDAR, or in worlds with obstacles."""
 
     around: Surroundings  # obstacles and rays
     rays: NDArray[Any]  # (kinds,): records of `Rays`
     trails: Floats
-    """(2, R, slots, 4): where the robots were in the last ticks, by odometry and in truth, as
-    `Trail.rows`; no slots without a LiDAR."""
+    """(2, R, slots, 4): where the robots were in the last ticks, by ODOMETRY and in TRUTH, as
+    `Trail.rows`. No slots without a LiDAR."""
 
 
 class Crowds(NamedTuple):
@@ -386,56 +358,54 @@ class Maps(NamedTuple):
 
 
 @jit
+def limits_of(axis: Any, i: int) -> AxisLimits:
+    """The limits of an axis of robot i."""
+    return AxisLimits(
+        min_velocity=axis.min_velocity[i],
+        max_velocity=axis.max_velocity[i],
+        min_acceleration=axis.min_acceleration[i],
+        max_acceleration=axis.max_acceleration[i],
+        min_jerk=axis.min_jerk[i],
+        max_jerk=axis.max_jerk[i],
+        min_reverse=axis.min_reverse[i],
+        max_reverse=axis.max_reverse[i],
+    )
+
+
+@jit
 def rules_of(robots: Robots, i: int, period: float) -> SafetyRules:
-    """The safety rules of robot i; `period` is the setup's."""
+    """The safety rules of robot i. `period` is the setup's."""
     rules = robots.rules
+
     return SafetyRules(
-        period,
-        rules.free[i] > 0.0,
-        AxisLimits(
-            rules.linear_min_velocity[i],
-            rules.linear_max_velocity[i],
-            rules.linear_min_acceleration[i],
-            rules.linear_max_acceleration[i],
-            rules.linear_min_jerk[i],
-            rules.linear_max_jerk[i],
-            rules.linear_min_reverse[i],
-            rules.linear_max_reverse[i],
-        ),
-        AxisLimits(
-            rules.angular_min_velocity[i],
-            rules.angular_max_velocity[i],
-            rules.angular_min_acceleration[i],
-            rules.angular_max_acceleration[i],
-            rules.angular_min_jerk[i],
-            rules.angular_max_jerk[i],
-            rules.angular_min_reverse[i],
-            rules.angular_max_reverse[i],
-        ),
-        rules.min_x[i],
-        rules.max_x[i],
-        rules.min_y[i],
-        rules.max_y[i],
-        rules.stale[i],
-        rules.timeout[i],
-        rules.left_radius[i],
-        rules.right_radius[i],
-        rules.separation[i],
-        rules.top[i],
+        period=period,
+        free=rules.free[i] > 0.0,
+        linear=limits_of(rules.linear, i),
+        angular=limits_of(rules.angular, i),
+        min_x=rules.min_x[i],
+        max_x=rules.max_x[i],
+        min_y=rules.min_y[i],
+        max_y=rules.max_y[i],
+        stale=rules.stale[i],
+        timeout=rules.timeout[i],
+        left_radius=rules.left_radius[i],
+        right_radius=rules.right_radius[i],
+        separation=rules.separation[i],
+        top=rules.top[i],
     )
 
 
 @jit
 def robots_of_block(block: int, robots: int) -> int:
     """How many of a batch's robots are in a block."""
-    left = robots - block * BLOCK_ROBOTS
-    return left if left < BLOCK_ROBOTS else BLOCK_ROBOTS
+    return min(robots - block * BLOCK_ROBOTS, BLOCK_ROBOTS)
 
 
 @jit
 def to_world(robots: Robots, i: int, x: float, y: float) -> tuple[float, float]:
     """Transform a point of robot i's odometry frame into the frame of its world [m]."""
-    cos, sin = robots.start_cos[i], robots.start_sin[i]
+    cos = robots.start_cos[i]
+    sin = robots.start_sin[i]
     return (
         robots.start_x[i] + cos * x - sin * y,
         robots.start_y[i] + sin * x + cos * y,

@@ -19,6 +19,8 @@ from acsar_gym.trigonometry import sincos
 from acsar_gym.vector.kernel.crowds import passers_of
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
+    ODOMETRY,
+    TRUTH,
     Crowds,
     Floats,
     Maps,
@@ -38,32 +40,60 @@ from acsar_gym.worlds.geometry import Surroundings, footprint_collides
 def check_contacts(robots: Robots, count: int, around: Surroundings) -> None:
     """Set `contact` of robots that touch an obstacle now."""
     for i in range(count):
-        if robots.contact[i] == 0.0:
-            x, y = to_world(robots, i, robots.x[i], robots.y[i])
+        if robots.true_contact[i] == 0.0:
+            x, y = to_world(robots, i, robots.true_x[i], robots.true_y[i])
             s, c = sincos(robots.theta[i])
-            cos, sin = robots.start_cos[i], robots.start_sin[i]
-            cos, sin = cos * c - sin * s, sin * c + cos * s
-            kind = int(robots.kind[i])
-            if footprint_collides(x, y, cos, sin, int(robots.world[i]), around, kind):
-                robots.contact[i] = 1.0
+            start_cos = robots.start_cos[i]
+            start_sin = robots.start_sin[i]
+
+            is_contact = footprint_collides(
+                x,
+                y,
+                start_cos * c - start_sin * s,
+                start_sin * c + start_cos * s,
+                which=int(robots.world[i]),
+                around=around,
+                kind=int(robots.kind[i]),
+            )
+            if is_contact:
+                robots.true_contact[i] = 1.0
 
 
 @jit
 def mark_trails(
-    robots: Robots, i: int, trails: Floats, robot: int, tick: float, setup: Setup
+    robots: Robots, i: int, trails: Floats, robot: int, tick: int, setup: Setup
 ) -> None:
-    """Mark where a robot is, so many ticks after its reset, by odometry and in truth."""
-    x, y = to_world(robots, i, robots.x[i], robots.y[i])
-    true = x, y, robots.start_theta[i] + robots.theta[i]
-    odometry = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
+    """Mark where a robot is in a tick after its reset, by odometry and in truth."""
     now = robots.loops[i] * setup.dt
-    if tick == 0.0:
-        begin_trail(trails[0, robot], now, odometry, setup.period)
-        begin_trail(trails[1, robot], now, true, setup.period)
-    row = int(tick) % trails.shape[2]
+    x, y = to_world(robots, i, robots.true_x[i], robots.true_y[i])
+    true = (x, y, robots.start_theta[i] + robots.theta[i])
+    odometry = (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i])
+    if tick == 0:
+        begin_trail(trails[ODOMETRY, robot], now, odometry, setup.period)
+        begin_trail(trails[TRUTH, robot], now, true, setup.period)
+
+    row = tick % trails.shape[2]
+    trails[ODOMETRY, robot, row, 0] = now
+    trails[TRUTH, robot, row, 0] = now
     for k in range(3):
-        trails[0, robot, row, 1 + k], trails[1, robot, row, 1 + k] = odometry[k], true[k]
-    trails[0, robot, row, 0] = trails[1, robot, row, 0] = now
+        trails[ODOMETRY, robot, row, 1 + k] = odometry[k]
+        trails[TRUTH, robot, row, 1 + k] = true[k]
+
+
+@jit
+def traits_of(robots: Robots, i: int) -> LidarTraits:
+    """The errors of robot i's LiDAR in this episode."""
+    physics = robots.physics
+    return LidarTraits(
+        scan_rate=physics.scan_rate[i],
+        noise=physics.range_noise[i],
+        bias=physics.range_bias[i],
+        dropouts=physics.range_dropouts[i],
+        outliers=physics.range_outliers[i],
+        start=robots.scan_start[i],
+        phase=robots.scan_phase[i],
+        key=robots.scan_key[i],
+    )
 
 
 @loop
@@ -76,82 +106,80 @@ def read_scans(  # noqa: C901 - as `drive.step`
     last: int,
     setups: Records,
 ) -> None:
-    """Read LiDARs and maps of these blocks' robots, after a reset or a whole step.
-
-    Robots in `over` begin an episode. Those whose board is silent have no scan, as in the single
-    env, whose reset fails.
-    """
-    setup, trails = setups[0], scans.trails
-    nobody = see_nobody()
-    beams, mapped = make_beams(tables.ranges.shape[1]), np.zeros(len(MAP_NAMES))
-    first_mover, moved = setup.numbers + len(MAP_NAMES), np.zeros(len(MOVER_NAMES))
+    """Read LiDARs and maps of these blocks' robots, after a reset or a whole step."""
+    setup = setups[0]
+    trails = scans.trails
+    beams = make_beams(tables.ranges.shape[1])
+    mapped = np.zeros(len(MAP_NAMES))
+    moved = np.zeros(len(MOVER_NAMES))
+    first_mover = setup.numbers + len(MAP_NAMES)
     for block in range(first, last):
         robots = tables.blocks[block]
-        for i in range(robots_of_block(block, len(tables.over))):
+        for i in range(robots_of_block(block, len(tables.begins))):
             robot = block * BLOCK_ROBOTS + i
-            begins = tables.over[robot]
-            if robots.silent[i] > 0.0 if begins else tables.idle[robot]:
+            begins = tables.begins[robot]
+            if not (begins or tables.drives[robot]):
                 continue
-            tick = 0.0 if begins else robots.steps[i] * setup.ticks
-            passers = nobody
+            world = int(robots.world[i])
+            kind = int(robots.kind[i])
+            count = int(robots.rays[i])
+            now = robots.loops[i] * setup.dt
+            tick = 0 if begins else int(robots.steps[i]) * setup.ticks
+            newest = tick % trails.shape[2]
+            observed = tables.observations[robot]
+            passers = see_nobody()
             if crowds is not None:
-                passers = passers_of(crowds, robot, int(robots.world[i]))
+                passers = passers_of(crowds, robot, world)
+
+            # The LiDAR turns all the time, also before the episode.
             if begins:
-                robots.scan_start[i] = robots.loops[i] * setup.dt
+                robots.scan_start[i] = now
                 robots.scan_phase[i] = uniform(tables.random, robot)
                 robots.scan_key[i] = uniform(tables.random, robot)
-                mark_trails(robots, i, trails, robot, tick, setup)
-                begin_passing(passers, trails[1, robot])
-            newest = int(tick) % trails.shape[2]
-            physics = robots.physics
-            kind, count = int(robots.kind[i]), int(robots.rays[i])
-            rays = scans.rays[kind]
+                mark_trails(robots, i, trails, robot=robot, tick=tick, setup=setup)
+                begin_passing(passers, trails[TRUTH, robot])
+
+            # The newest revolution, and what it means for the present pose.
             if len(beams.times) != count:
                 beams = make_beams(count)
-            traits = LidarTraits(
-                physics.scan_rate[i],
-                physics.range_noise[i],
-                physics.range_bias[i],
-                physics.range_dropouts[i],
-                physics.range_outliers[i],
-                robots.scan_start[i],
-                robots.scan_phase[i],
-                robots.scan_key[i],
-            )
             stamp = measure_revolution(
-                Ring(trails[1, robot], newest),
-                int(robots.world[i]),
+                Ring(trails[TRUTH, robot], newest),
+                world,
                 scans.around,
-                rays=rays,
-                traits=traits,
+                rays=scans.rays[kind],
+                traits=traits_of(robots, i),
                 beams=beams,
                 passers=passers,
                 kind=kind,
             )
             robots.scan_stamp[i] = stamp
+            rays = scans.rays[kind]
             ranges = tables.ranges[robot, :count]
             revolution = Revolution(beams.bearings, beams.distances, beams.times, stamp)
-            fill_scan(revolution, Ring(trails[0, robot], newest), rays, ranges=ranges)
+            fill_scan(revolution, Ring(trails[ODOMETRY, robot], newest), rays, ranges=ranges)
             for k in range(count):
-                tables.observations[robot, setup.first_ray + k] = ranges[k] / rays.farthest
+                observed[setup.first_ray + k] = ranges[k] / rays.farthest
+
+            # Map and movers.
             if maps is not None:
+                record = maps.records[robot]
+                pose = (robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i])
                 if begins:
-                    clear_map(maps.records[robot])
-                pose = robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]
+                    clear_map(record)
                 update_map(
-                    maps.records[robot],
-                    robots.loops[i] * setup.dt,
+                    record,
+                    now,
                     pose,
-                    (robots.goal_x[i], robots.goal_y[i]),
-                    ranges,
-                    rays,
-                    (beams.bearings, beams.times, robots.scan_stamp[i]),
-                    maps.scratch[block],
-                    mapped,
+                    goal=(robots.goal_x[i], robots.goal_y[i]),
+                    ranges=ranges,
+                    rays=rays,
+                    measured=(beams.bearings, beams.times, stamp),
+                    scratch=maps.scratch[block],
+                    out=mapped,
                 )
                 for k in range(len(mapped)):
-                    tables.observations[robot, setup.numbers + k] = mapped[k]
+                    observed[setup.numbers + k] = mapped[k]
                 if first_mover < setup.first_ray:
-                    fill_movers(maps.records[robot], pose, moved)
+                    fill_movers(record, pose, moved)
                     for k in range(len(moved)):
-                        tables.observations[robot, first_mover + k] = moved[k]
+                        observed[first_mover + k] = moved[k]

@@ -10,15 +10,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba.extending import overload
+from numba import literal_unroll
 from numpy.typing import NDArray
 
 from acsar_gym.jit import jit
-from acsar_gym.tasks.state import State, write_maker
+from acsar_gym.tasks.state import State
 from acsar_gym.tasks.task import TASK_METHODS, Outcome, Task
 from acsar_gym.vector.kernel.binding import bind_methods
 from acsar_gym.vector.kernel.episode import update_info
-from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, ROWS, Records, Setup, Spawns, Tables
+from acsar_gym.vector.kernel.layout import BLOCK_ROBOTS, Records, Setup, Spawns, Tables
 
 OUTCOMES = len(Outcome)
 
@@ -29,35 +29,55 @@ task_reward: Any = Task.reward
 task_observe: Any = Task.observe
 
 
-def read_field(name: str) -> str:
-    """The expression that reads a field of robot i; of wheels, four numbers."""
-    if len(ROWS[name]) == 1:
-        return f"numbers.{name}[i]"
-    return ", ".join(f"numbers.{name}[{wheel}, i]" for wheel in range(4))
+@jit
+def state_of(tables: Tables, robot: int, setup: Setup, spawns: Spawns) -> State:
+    """Make a robot's State, with the same fields as `RobotEnv` does."""
+    robots = tables.blocks[robot // BLOCK_ROBOTS]
+    i = robot % BLOCK_ROBOTS
+    world = int(robots.world[i])
+    kind = int(robots.kind[i])
+    rays = int(robots.rays[i])
+    speeds = robots.read_speed
 
+    # The world's own path, unless the goal is elsewhere.
+    path = spawns.paths[0, :0]
+    if len(spawns.samples) > 0:
+        path = spawns.paths[world, : spawns.samples[world]]
+    length = np.nan
+    if len(spawns.lengths) > 0 and robots.goal_given[i] == 0.0:
+        length = spawns.lengths[world]
 
-make_state = jit(write_maker(read_field))
+    return State(
+        pose=(robots.odom_x[i], robots.odom_y[i], robots.odom_theta[i]),
+        twist=(robots.linear[i], robots.angular[i]),
+        wheel_speeds=(speeds[0, i], speeds[1, i], speeds[2, i], speeds[3, i]),
+        action=(robots.action_linear[i], robots.action_angular[i]),
+        sent=(robots.sent_linear[i], robots.sent_angular[i]),
+        reason=int(robots.sent_reason[i]),
+        ranges=tables.ranges[robot, :rays],
+        edges=tables.edges[kind, :rays],
+        sensed=tables.observations[robot, setup.numbers :],
+        time=robots.steps[i] * setup.ticks * setup.period,
+        feedback_age=robots.feedback_age[i],
+        contact=robots.true_contact[i] > 0.0,
+        goal=(robots.goal_x[i], robots.goal_y[i]),
+        path=path,
+        length=length,
+        max_twist=(robots.max_linear[i], robots.max_angular[i]),
+        period=setup.ticks * setup.period,
+    )
 
 
 @jit
-def state_of(tables: Tables, robot: int, setup: Setup, spawns: Spawns) -> State:
-    """Make a robot's State."""
-    robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
-    world, kind, rays = int(robots.world[i]), int(robots.kind[i]), int(robots.rays[i])
-    path = spawns.paths[0 if len(spawns.samples) == 0 else world]
-    samples = 0 if len(spawns.samples) == 0 else spawns.samples[world]
-    leads = len(spawns.lengths) > 0 and robots.goal_given[i] == 0.0
-    return make_state(
-        robots,
-        i,
-        tables.ranges[robot, :rays],
-        tables.edges[kind, :rays],
-        tables.observations[robot, setup.numbers :],
-        robots.steps[i] * setup.ticks * setup.period,
-        path[:samples],
-        spawns.lengths[world] if leads else np.nan,
-        setup.ticks * setup.period,
-    )
+def store_numbers(row: NDArray[np.float32], numbers: Any) -> None:
+    """Write numbers, whose types may differ, into the first columns of a row."""
+    column = 0
+    for number in literal_unroll(
+        (*numbers, 0.0)
+    ):  # numba can't unroll an empty tuple, or enumerate
+        if column < len(numbers):
+            row[column] = number
+        column += 1  # noqa: SIM113
 
 
 def run(
@@ -71,24 +91,32 @@ def run(
 ) -> None:
     """Write reward, end and observation of the robots of blocks first to last.
 
-    Robots in `over` begin anew; the episodes of others that are idle are truncated, and their
-    observations stay as they were. `memory` has a row for each robot, and a last one with the first
-    values.
+    Args:
+        task: The task's numbers.
+        memory: A row for each robot, and a last one with the first values.
+        tables: Robots in `begins` start an episode, those in `drives` go on.
+        first: First block.
+        last: Block after the last one.
+        setups: What the robots share.
+        spawns: Worlds of the batch.
     """
     setup = setups[0]
-    for robot in range(first * BLOCK_ROBOTS, min(last * BLOCK_ROBOTS, len(tables.over))):
-        robots, i = tables.blocks[robot // BLOCK_ROBOTS], robot % BLOCK_ROBOTS
-        over = tables.over[robot]
-        if over or tables.idle[robot]:
-            tables.rewards[robot] = 0.0
-            tables.ends[0, robot], tables.ends[1, robot] = False, not over
-        if over:
-            memory[robot] = memory[len(memory) - 1]
-        elif tables.idle[robot]:
+    for robot in range(first * BLOCK_ROBOTS, min(last * BLOCK_ROBOTS, len(tables.begins))):
+        robots = tables.blocks[robot // BLOCK_ROBOTS]
+        i = robot % BLOCK_ROBOTS
+        begins = tables.begins[robot]
+        if not (begins or tables.drives[robot]):
             continue
-        state, remembered = state_of(tables, robot, setup, spawns), memory[robot]
-        if over:
+
+        if begins:
+            memory[robot] = memory[len(memory) - 1]
+        state = state_of(tables, robot, setup, spawns)
+        remembered = memory[robot]
+        if begins:
             task_begin(task, state, remembered)
+            tables.rewards[robot] = 0.0
+            tables.terminated[robot] = False
+            tables.truncated[robot] = False
         else:
             outcome = 0 + task_outcome(task, state, remembered)  # an Outcome, or its number
             if not 0 <= outcome < OUTCOMES:
@@ -97,32 +125,16 @@ def run(
             robots.outcome[i] = outcome
             robots.total_reward[i] += reward
             tables.rewards[robot] = reward
-            tables.ends[0, robot] = outcome != 0
-            tables.ends[1, robot] = robots.steps[i] >= setup.max_steps
-        store_numbers(tables.observations, robot, 0, task_observe(task, state, remembered))
+            tables.terminated[robot] = outcome != 0
+            tables.truncated[robot] = robots.steps[i] >= setup.max_steps
+
+        observed = task_observe(task, state, remembered)
+        if len(observed) != setup.numbers:
+            raise ValueError("observe returned more or fewer numbers than `observation` names")
+        store_numbers(tables.observations[robot], observed)
     update_info(tables.blocks, first, last, setups)
 
 
-def store_numbers(columns: NDArray[np.float32], i: int, k: int, numbers: Any) -> None:
-    """Write numbers into row i, from column k on."""
-    for number, value in enumerate(numbers):
-        columns[i, k + number] = value
-
-
-HEAD = "def unrolled(columns: Any, i: Any, k: Any, numbers: Any):"
-"""The signature must equal that of `_store`: numba compares them."""
-
-
-@overload(store_numbers)  # type: ignore[untyped-decorator]
-def _store(columns: Any, i: Any, k: Any, numbers: Any) -> Callable[..., None]:
-    """Compile it as one assignment for each number, because their types may differ."""
-    lines = [f"    columns[i, k + {n}] = numbers[{n}]" for n in range(len(numbers))]
-    made: dict[str, Any] = {"__name__": __name__}
-    exec("\n".join([HEAD, *lines, "    return"]), made)  # noqa: S102 - our own
-    unrolled: Callable[..., None] = made["unrolled"]
-    return unrolled
-
-
 def bind_task(task: Task) -> Callable[..., None]:
-    """Make a copy of `run` that calls the methods of one task, compiled; see `bind_methods`."""
-    return bind_methods(type(task), run, {f"task_{one}": one for one in TASK_METHODS})
+    """Make a copy of `run` that calls the methods of one task, compiled, see `bind_methods`."""
+    return bind_methods(type(task), run, {f"task_{method}": method for method in TASK_METHODS})

@@ -28,7 +28,7 @@ from acsar_gym.sensors.map.sensor import (
     length_of_share,
 )
 from acsar_gym.sensors.map.tracks import AGE
-from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds import World
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import Region
 
@@ -204,4 +204,4 @@ def test_the_map_comes_first_and_needs_a_goal() -> None:
     robot = Robot(open_link("planar", ACSAR), ACSAR, [LIDAR, MOVERS, MAP])
     assert [sensor.name for sensor in robot.sensors] == [MAP, MOVERS, LIDAR]
     with pytest.raises(ConfigError, match="the scene has no goal, to which it shows the way"):
-        robot.sensors[0].reset(Scene(), np.random.default_rng(0))
+        robot.activate()

@@ -30,6 +30,7 @@ class Ahead(Task):
     goal_distance = (0.5, 1.0)
     memory = {"fastest": 0.0, "own": 0.0}
     told = ("fastest",)
+    compiled = True
 
     def outcome(self, state, memory):
         memory.fastest = max(memory.fastest, state.twist[0])
@@ -44,11 +45,15 @@ class Ahead(Task):
 
 
 class Unsound(Ahead):
+    compiled = True
+
     def reward(self, state, memory, outcome):
         return float("nan") if state.time > 0.1 else 0.0
 
 
 class Failing(Ahead):
+    compiled = True
+
     def reward(self, state, memory, outcome):
         return state.twist[0] if state.time < 0.3 else 1 / (outcome * 0)
 
@@ -109,7 +114,7 @@ def test_an_env_that_is_not_there_is_one_line(
     ("task", "said"),
     [
         ("Unsound", "mine/Unsound-v0.reward returned nan: must be a finite number"),
-        ("Failing", "mine/Failing-v0: reward() raised ZeroDivisionError: division by zero ("),
+        ("Failing", "mine/Failing-v0: ZeroDivisionError: division by zero, in a compiled"),
     ],
 )
 def test_a_task_that_fails_in_a_training_is_one_line(task: str, said: str, call: Call) -> None:
@@ -117,8 +122,6 @@ def test_a_task_that_fails_in_a_training_is_one_line(task: str, said: str, call:
     code, _, error = call("train", "--env", f"mine_of_tests.tasks:mine/{task}-v0", *small)
     assert code == 2
     assert_one_line(error, said)
-    if task == "Failing":
-        assert f"{Path('mine_of_tests/tasks.py').absolute()}:" in error
 
 
 def test_a_policy_for_it_is_trained_evaluated_driven_and_exported(

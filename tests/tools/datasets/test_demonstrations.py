@@ -15,7 +15,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.envs.ids import full_id
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recorder, read
-from acsar_gym.tasks.goal import PointGoal, goal_numbers
+from acsar_gym.tasks import PointGoal, State
 from acsar_gym.tools.datasets import read_demonstrations
 
 CONFIG = RobotConfig.of(None)
@@ -74,8 +74,8 @@ def test_a_drive_is_what_an_agent_would_have_done(tmp_path: Path) -> None:
     for step in range(1, count + 1):
         pose, twist = recorded.poses[10 * step - 1], recorded.twists[10 * step - 1]
         action = (float(found.actions[step - 1, 0]), float(found.actions[step - 1, 1]))
-        scales = PointGoal().scale, *TOP
-        seen = goal_numbers(tuple(pose), tuple(twist), goal, scales, action)
+        state = State(tuple(pose), tuple(twist), action=action, goal=goal, max_twist=TOP)
+        seen = PointGoal().observe(state, None)
         np.testing.assert_array_equal(found.observations[step], np.array(seen, np.float32))
 
 
