@@ -105,7 +105,8 @@ def make_link(name: str, config: RobotConfig, quirks: Quirks) -> Link:
     if quirks.keys().isdisjoint(MOTOR_QUIRKS):
         link = open_link(name, config)
     else:
-        link = SimulatedLink(config, lambda: QuirkyMotors(make_body(name, config), config, quirks))
+        motors: Any = QuirkyMotors  # all that a body has
+        link = SimulatedLink(config, lambda: motors(make_body(name, config), config, quirks))
     return QuirkyLink(link, config, quirks) if quirks.keys() - MOTOR_QUIRKS else link
 
 

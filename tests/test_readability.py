@@ -72,16 +72,15 @@ class Counts(NamedTuple):
 
 
 MOST = {
-    "config": Counts(2, 0, 0, 1),
+    "envs": Counts(7, 7, 1, 1),
     "lidar": Counts(3, 0, 0, 0),
     "links": Counts(0, 1, 0, 0),
-    "physics": Counts(10, 2, 4, 1),
+    "physics": Counts(0, 0, 1, 0),
     "recording": Counts(0, 0, 0, 4),
-    "render": Counts(4, 0, 0, 0),
     "safety": Counts(0, 2, 1, 2),
-    "sensors": Counts(0, 0, 0, 1),
+    "sensors": Counts(7, 4, 0, 2),
     "sensors/map": Counts(0, 0, 1, 0),
-    "tasks": Counts(5, 0, 0, 4),
+    "tasks": Counts(26, 11, 3, 25),
     "tools": Counts(1, 5, 0, 6),
     "tools/baselines": Counts(52, 11, 7, 20),
     "tools/benchmark": Counts(16, 14, 3, 21),
@@ -93,8 +92,8 @@ MOST = {
     "tools/sysid": Counts(106, 51, 13, 197),
     "tools/training": Counts(25, 16, 4, 71),
     "tools/view": Counts(10, 6, 0, 3),
-    "vector/kernel": Counts(0, 0, 0, 3),
-    "worlds": Counts(3, 5, 0, 2),
+    "vector": Counts(37, 16, 3, 20),
+    "vector/kernel": Counts(73, 19, 34, 23),
 }
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.jit import loop, subroutine
 from acsar_gym.worlds import World
-from acsar_gym.worlds.geometry import Segment, distance_to_segment, segment_clearance
+from acsar_gym.worlds.geometry import Line, distance_to_segment, segment_clearance
 from acsar_gym.worlds.movers import (
     MAX_MOVER_SPEED,
     Motions,
@@ -24,6 +24,7 @@ from acsar_gym.worlds.movers import (
     locate_mover,
     make_motions,
 )
+from acsar_gym.worlds.world import AX, AY, BX, BY
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -121,10 +122,10 @@ def list_places(motions: Motions, key: float, places: Floats) -> None:
     """List where the movers' motions are every TIME_STEP, (steps, movers, 2)."""
     movers = motions.movers[0]
     for m in range(places.shape[1]):
-        offset = draw_offset(movers, m, key)
+        offset = draw_offset(movers[m], m, key)
         for k in range(len(places)):
             clock = k * TIME_STEP + offset
-            x, y, _, _ = locate_mover(movers, m, motions.pieces[0], clock)
+            x, y, _, _ = locate_mover(movers[m], motions.pieces[0], clock)
             places[k, m, 0] = x
             places[k, m, 1] = y
 
@@ -140,22 +141,22 @@ def mark_busy(cells: Cells, places: Floats, reaches: Floats) -> Bools:
             ax, ay = places[k, m]
             bx, by = places[k + 1, m]
             if abs(bx - ax) + abs(by - ay) > FARTHEST_STEP:
-                mark_segment(busy[:, :, k], cells, Segment(ax, ay, ax, ay), reaches[m])
-                mark_segment(busy[:, :, k], cells, Segment(bx, by, bx, by), reaches[m])
+                mark_segment(busy[:, :, k], cells, (ax, ay, ax, ay), reaches[m])
+                mark_segment(busy[:, :, k], cells, (bx, by, bx, by), reaches[m])
             else:
-                mark_segment(busy[:, :, k], cells, Segment(ax, ay, bx, by), reaches[m])
+                mark_segment(busy[:, :, k], cells, (ax, ay, bx, by), reaches[m])
     return busy
 
 
 @subroutine
-def mark_segment(busy: Bools, cells: Cells, line: Segment, reach: float) -> None:
+def mark_segment(busy: Bools, cells: Cells, line: Line, reach: float) -> None:
     """Mark which cells are within reach of a segment."""
     width, height = busy.shape
     x, y, side, _ = cells
-    first_i = max(int(np.ceil((min(line.ax, line.bx) - reach - x) / side)), 0)
-    first_j = max(int(np.ceil((min(line.ay, line.by) - reach - y) / side)), 0)
-    last_i = min(int(np.floor((max(line.ax, line.bx) + reach - x) / side)), width - 1)
-    last_j = min(int(np.floor((max(line.ay, line.by) + reach - y) / side)), height - 1)
+    first_i = max(int(np.ceil((min(line[AX], line[BX]) - reach - x) / side)), 0)
+    first_j = max(int(np.ceil((min(line[AY], line[BY]) - reach - y) / side)), 0)
+    last_i = min(int(np.floor((max(line[AX], line[BX]) + reach - x) / side)), width - 1)
+    last_j = min(int(np.floor((max(line[AY], line[BY]) + reach - y) / side)), height - 1)
     for i in range(first_i, last_i + 1):
         for j in range(first_j, last_j + 1):
             if distance_to_segment(x + i * side, y + j * side, line) < reach:

@@ -31,7 +31,8 @@ ROUNDING = 1e-9
 
 def make_rectangle(length: float, width: float) -> Outline:
     """Return a rectangle around the origin, `length` along x, `width` along y [m]."""
-    x, y = length / 2.0, width / 2.0
+    x = length / 2.0
+    y = width / 2.0
     return ((x, y), (-x, y), (-x, -y), (x, -y))
 
 
@@ -147,7 +148,8 @@ def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArra
 
 def _distance(p: Point, a: Point, b: Point) -> float:
     """Distance from a point to the segment a-b [m]."""
-    ex, ey = b[0] - a[0], b[1] - a[1]
+    ex = b[0] - a[0]
+    ey = b[1] - a[1]
     square = ex * ex + ey * ey
     share = ((p[0] - a[0]) * ex + (p[1] - a[1]) * ey) / square if square > 0.0 else 0.0
     share = min(max(share, 0.0), 1.0)

@@ -67,13 +67,13 @@ def read_urdf(text: str, names: Collection[str]) -> dict[str, Any]:
         if block.findtext("hardware/plugin", DRIVER_PLUGIN).strip().endswith(DRIVER_PLUGIN)
         for param in block.iterfind("hardware/param")
     }
-    known = [name for name in names if name not in SIMULATION_FIELDS]
+    parameters = [name for name in names if name not in SIMULATION_FIELDS]
     for name in params:
-        near = difflib.get_close_matches(name, known, n=1, cutoff=0.85)
+        near = difflib.get_close_matches(name, parameters, n=1, cutoff=0.85)
         if near and near[0] != name:
             raise ConfigError(f"unknown param {name!r}; did you mean {near[0]!r}?")
 
-    fields = {name: params[name] for name in known if name in params}
+    fields = {name: params[name] for name in parameters if name in params}
     if not fields:
         raise ConfigError(
             f"has no parameters of {DRIVER_PLUGIN} in <ros2_control><hardware>: {SIX_NUMBERS}"

@@ -130,7 +130,7 @@ def find_passer(
     """
     if passers.movers[m, REACTS] == 0.0:
         clock = time + passers.states[m, CLOCK]
-        x, y, _, _ = locate_mover(passers.movers, m, passers.pieces, clock)
+        x, y, _, _ = locate_mover(passers.movers[m], passers.pieces, clock)
         return x, y
 
     slots = len(ring.rows)
@@ -297,12 +297,12 @@ def see_passers(
         # A disc that contains the mover at all times of the revolution.
         width = radius + margin + SPEED_SHARE * movers[m, SPEED] * elapsed
         dx, dy = states[m, X] - x, states[m, Y] - y
-        jumps = may_jump(movers, m, started + states[m, CLOCK], elapsed)
+        jumps = may_jump(movers[m], started + states[m, CLOCK], elapsed)
         reach = rays.farthest + width
         if dx * dx + dy * dy > reach * reach and not jumps:
             continue
         is_straight = goes_straight(
-            movers, m, passers.pieces, clock=now + states[m, CLOCK], ago=elapsed
+            movers[m], passers.pieces, clock=now + states[m, CLOCK], ago=elapsed
         )
         if is_straight:
             width = radius + margin + 0.5 * movers[m, SPEED] * elapsed

@@ -27,7 +27,7 @@ class BodyBackend(NamedTuple):
     unused: tuple[str, ...] = ()
     """Parameters of `Randomization` that have no effect."""
     module: str = ""
-    """Module of the simulator; empty for our own."""
+    """Module of the simulator, or empty for our own."""
     extra: str = ""
     """Extra that installs the simulator."""
 
@@ -51,7 +51,7 @@ BODIES = {
         extra="mujoco",
     ),
 }
-"""Bodies by name; the links that simulate them have the same names."""
+"""Bodies by name. The links that simulate them have the same names."""
 LINKS_WITH_CAMERA = " or ".join(repr(name) for name, body in BODIES.items() if body.has_camera)
 """For messages."""
 

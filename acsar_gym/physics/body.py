@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.protocol import Speeds
+from acsar_gym.jit import record_of
+from acsar_gym.physics import model
+from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Scene
+from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.crowd import Crowd
 
 Image = NDArray[np.uint8]
@@ -40,13 +42,22 @@ MOVER_PAINT: Paint = (0.56, 0.27, 0.68, 1.0)
 GOAL_PAINT: Paint = (0.15, 0.68, 0.38, 0.85)
 
 
-class Body(Protocol):
-    """Motors, tyres and chassis of a robot; the firmware steps it once a loop."""
+class Body:
+    """Motors, tyres and chassis of a robot. The firmware steps it once a loop.
 
-    wheel_speeds: Speeds
-    """Speeds of the four wheels [rad/s]."""
-    wheel_angles: Speeds
-    """Angles turned by the four wheels since the reset [rad]; the encoders measure them."""
+    Args:
+        config: Robot configuration.
+
+    Attributes:
+        wheel_speeds: Speeds of the four wheels [rad/s].
+        wheel_angles: Angles turned by the four wheels since the reset [rad]. The encoders measure
+            them.
+    """
+
+    def __init__(self, config: RobotConfig) -> None:
+        self._config = config
+        self._dt = model.loop_period(config)
+        self._configured = model.compute_physics(config)
 
     def reset(self, scene: Scene) -> None:
         """Build the scene, with the robot at rest at its start.
@@ -54,6 +65,11 @@ class Body(Protocol):
         Args:
             scene: Start, world and physics of the episode.
         """
+        self.wheel_speeds: Speeds = ZERO
+        self.wheel_angles: Speeds = ZERO
+        self._touched = False
+        self._physics = scene.physics or self._configured
+        self._record = record_of(self._physics)
 
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop.
@@ -61,27 +77,38 @@ class Body(Protocol):
         Args:
             set_points: Set points of the four wheel speeds [rad/s].
         """
+        raise NotImplementedError
 
     def place_movers(self, crowd: Crowd) -> None:
         """Put the movers of the scene's world where they are now, moving at their velocities.
+
+        Does nothing in a body that movers don't stop.
 
         Args:
             crowd: State of the movers. It also decides whether the robot touches a mover.
         """
 
     def feel(self) -> None:
-        """Check whether the robot touches a standing obstacle now; `truth` then reports it."""
+        """Check whether the robot touches a standing obstacle now. `truth` then reports it."""
+
+    def _locate(self) -> tuple[Pose, model.Velocity]:
+        """The robot's pose, and its velocity in the frame of the world."""
+        raise NotImplementedError
 
     @property
     def truth(self) -> GroundTruth:
         """Ground truth of the robot, in the frame of the world."""
+        (x, y, theta), (vx, vy, rate) = self._locate()
+        forward = vx * math.cos(theta) + vy * math.sin(theta)
+        return GroundTruth((x, y, wrap_angle(theta)), (forward, rate), self._touched)
 
     @property
     def power(self) -> float:
-        """Mechanical power of the motors now [W]; see `physics.model.motor_power`."""
+        """Mechanical power of the motors now [W]. See `physics.model.motor_power`."""
+        raise NotImplementedError
 
     def close(self) -> None:
-        """Close the physics engine. Idempotent."""
+        """Close the physics engine, if there is one. Idempotent."""
 
 
 @runtime_checkable
@@ -112,7 +139,8 @@ class Chassis(NamedTuple):
     @classmethod
     def of(cls, config: RobotConfig) -> Self:
         """Return the chassis of a robot."""
-        body, radius = config.body, config.wheel_radius
+        body = config.body
+        radius = config.wheel_radius
         bottom = min(CHASSIS_CLEARANCE, radius) - radius
         tyre = max(0.02, body.width - config.wheel_separation)
         return cls(
@@ -125,8 +153,9 @@ class Chassis(NamedTuple):
 
 def wheel_hubs(half_wheelbase: float, half_track: float) -> list[tuple[float, float]]:
     """Return the wheels' centres in the base frame [m], in wheel order."""
-    front, left = half_wheelbase, half_track
-    return [(front, -left), (front, left), (-front, left), (-front, -left)]
+    x = half_wheelbase
+    y = half_track
+    return [(x, -y), (x, y), (-x, y), (-x, -y)]
 
 
 def wrap_angle(theta: float) -> float:
@@ -135,7 +164,7 @@ def wrap_angle(theta: float) -> float:
 
 
 def has_display() -> bool:
-    """Return whether there is an X server; without it PyBullet's window would end the process."""
+    """Return whether there is an X server. Without it PyBullet's window would end the process."""
     if not sys.platform.startswith("linux"):
         return True
     name = os.environ.get("DISPLAY", "")

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import (
@@ -29,7 +28,6 @@ from acsar_gym.config.footprint import (
     outline_radius,
 )
 from acsar_gym.errors import ConfigError, MissingExtraError
-from acsar_gym.jit import loop, record_of
 from acsar_gym.physics import model
 from acsar_gym.physics.body import (
     GOAL_PAINT,
@@ -39,6 +37,7 @@ from acsar_gym.physics.body import (
     OBSTACLE_HEIGHT,
     OBSTACLE_PAINT,
     WALL_THICKNESS,
+    Body,
     Chassis,
     Image,
     Paint,
@@ -46,9 +45,8 @@ from acsar_gym.physics.body import (
     prepare_opengl,
     wheel_hubs,
 )
-from acsar_gym.protocol import ZERO, Speeds
-from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Scene, World
+from acsar_gym.protocol import Speeds
+from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.crowd import Crowd, X, Y
 from acsar_gym.worlds.movers import MAX_MOVER_SPEED
 
@@ -72,22 +70,18 @@ try:
 except ImportError as error:
     raise MissingExtraError("the PyBullet robot", "bullet") from error
 
-Floats = NDArray[np.float64]
 Point3 = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-"""Orientation (x, y, z, w)."""
-Motion = tuple[Point3, Quaternion, Point3, Point3]
-"""Position, orientation, velocity and angular velocity, in the frame of the world."""
 
 ORIGIN: Point3 = (0.0, 0.0, 0.0)
 """Also the velocity of a body at rest."""
-UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
-SIDEWAYS: Quaternion = (math.sin(math.pi / 4), 0.0, 0.0, math.cos(math.pi / 4))
+UPRIGHT: model.Quaternion = (0.0, 0.0, 0.0, 1.0)
+SIDEWAYS: model.Quaternion = (math.sin(math.pi / 4), 0.0, 0.0, math.cos(math.pi / 4))
 BELOW: Point3 = (0.0, 0.0, -5.0)
 """Where movers wait that are far away from the robot [m]."""
 NEAR_MARGIN = 0.5
 """Movers that may come so near to the robot in a tick are in the simulation [m]."""
-PUSH_STIFFNESS, PUSH_DAMPING = 1e4, 2e3
+PUSH_STIFFNESS = 1e4
+PUSH_DAMPING = 2e3
 """Of the contact between a mover and the robot [N/m, N s/m]: the robot is pushed at the mover's
 speed, and a robot that is squeezed between a mover and a wall isn't flung away."""
 MAX_SHAPES = 16
@@ -96,7 +90,9 @@ MIN_SIZE = 1e-3
 """Smallest radius or half length of an obstacle, and radius of a foot [m]."""
 FOOT_PLACES = 100
 """Places between a hub and the middle of the robot that are tried for a foot."""
-OTHER, DISTANCE, FORCE = 2, 8, 9
+OTHER = 2
+DISTANCE = 8
+FORCE = 9
 """Columns of a contact: number of the other body, distance [m] and normal force [N]."""
 CHASSIS_COLOUR: Paint = (0.16, 0.35, 0.58, 1.0)
 DECK_COLOUR: Paint = (0.85, 0.87, 0.9, 1.0)
@@ -115,7 +111,7 @@ class Engine:
         return functools.partial(getattr(pybullet, name), physicsClientId=self.number)
 
 
-class BulletBody:
+class BulletBody(Body):
     """A PyBullet simulation with a floor, a robot and the obstacles of a world.
 
     Args:
@@ -127,9 +123,7 @@ class BulletBody:
     """
 
     def __init__(self, config: RobotConfig, *, window: bool = False) -> None:
-        self._config = config
-        self._dt = model.loop_period(config)
-        self._configured = model.compute_physics(config)
+        super().__init__(config)
         reach = outline_radius(config.outline)
         self._near = reach + MAX_MOVER_SPEED * config.period + NEAR_MARGIN
 
@@ -161,17 +155,14 @@ class BulletBody:
 
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
+        super().reset(scene)
         if scene.world is not self._obstacles.world:
             self._build(scene.world)
         self._movers.park()
         self._crowd: Crowd | None = None
-        self._touched = False
-        self._motion: Motion | None = None
-        self.wheel_angles: Speeds = ZERO
-        self.wheel_speeds: Speeds = ZERO
+        self._motion: model.Motion | None = None
 
-        physics = scene.physics or self._configured
-        self._physics = record_of(physics)
+        physics = self._physics
         self._engine.changeDynamics(
             self._robot, -1, mass=physics.mass, localInertiaDiagonal=(physics.yaw_inertia,) * 3
         )
@@ -186,43 +177,39 @@ class BulletBody:
     def _mark_goal(self, goal: Point) -> None:
         """Put a disc on the floor."""
         if self._goal is None:
-            disc = self._engine.createVisualShape(
-                pybullet.GEOM_CYLINDER, radius=GOAL_RADIUS, length=0.01, rgbaColor=GOAL_PAINT
+            disc = Shape(
+                pybullet.GEOM_CYLINDER, ORIGIN, GOAL_PAINT, radius=GOAL_RADIUS, length=0.01
             )
-            self._goal = self._engine.createMultiBody(0.0, -1, disc)
+            self._goal = show_shapes(self._engine, [disc])
         self._engine.resetBasePositionAndOrientation(self._goal, (*goal, 0.006), UPRIGHT)
 
     def step(self, set_points: Speeds) -> None:
         """Simulate one firmware loop: tyre force and torque, then one engine step."""
-        robot, client = self._robot, self._engine.number
-        position, orientation, velocity, spin = self._motion or self._read_motion()
+        robot = self._robot
+        client = self._engine.number
+        motion = self._motion or self._read_motion()
+        motors = (self.wheel_speeds, self.wheel_angles, set_points)
         force, torque, self.wheel_speeds, self.wheel_angles = model.push_robot(
-            orientation,
-            velocity,
-            spin,
-            self.wheel_speeds,
-            self.wheel_angles,
-            set_points,
-            self._physics,
-            self._dt,
+            motion, motors, self._record, self._dt
         )
 
         # Without keywords and `Engine`, which take longer: every firmware loop makes these calls.
-        pybullet.applyExternalForce(robot, -1, force, position, pybullet.WORLD_FRAME, client)
+        pybullet.applyExternalForce(robot, -1, force, motion[0], pybullet.WORLD_FRAME, client)
         pybullet.applyExternalTorque(robot, -1, torque, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
         self._motion = None
 
-    def _read_motion(self) -> Motion:
+    def _read_motion(self) -> model.Motion:
         """Read from PyBullet how the robot moves, and keep it until the next step."""
-        robot, client = self._robot, self._engine.number
+        robot = self._robot
+        client = self._engine.number
         position, orientation = pybullet.getBasePositionAndOrientation(robot, client)
         motion = (position, orientation, *pybullet.getBaseVelocity(robot, client))
         self._motion = motion
         return motion
 
     def place_movers(self, crowd: Crowd) -> None:
-        """Put movers where they are, at their velocities; without pictures only those near by."""
+        """Put movers where they are, at their velocities. Without pictures only those near by."""
         self._crowd = crowd
         x, y, _ = (self._motion or self._read_motion())[0]
         self._movers.place(crowd, x, y, math.inf if self._visible else self._near)
@@ -239,20 +226,16 @@ class BulletBody:
                 for contact in contacts
             )
 
-    @property
-    def truth(self) -> GroundTruth:
-        """Ground truth of the robot, in the frame of the world."""
+    def _locate(self) -> tuple[Pose, model.Velocity]:
         (x, y, _), orientation, (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
-        theta = pybullet.getEulerFromQuaternion(orientation)[2]
-        forward = vx * math.cos(theta) + vy * math.sin(theta)
-        return GroundTruth((x, y, theta), (forward, rate), self._touched)
+        return (x, y, pybullet.getEulerFromQuaternion(orientation)[2]), (vx, vy, rate)
 
     @property
     def power(self) -> float:
-        """Mechanical power of the motors now [W]; see `physics.model.motor_power`."""
+        """Mechanical power of the motors now [W]. See `physics.model.motor_power`."""
         _, orientation, (vx, vy, _), (_, _, rate) = self._motion or self._read_motion()
-        cos, sin = model.heading(orientation)
-        return model.motor_power(cos, sin, (vx, vy, rate), self.wheel_speeds, self._physics)
+        cos, sin = model.heading_of(orientation)
+        return model.motor_power(cos, sin, (vx, vy, rate), self.wheel_speeds, self._record)
 
     def image(self, width: int, height: int) -> Image:
         """Take a picture with PyBullet's camera from behind and above: (height, width, 3), RGB."""
@@ -298,31 +281,37 @@ class Shape(NamedTuple):
     """Half sizes [m]."""
     radius: float = 0.0
     length: float = 0.0
-    turn: Quaternion = UPRIGHT
+    turn: model.Quaternion = UPRIGHT
     file: str = ""
 
 
 def make_shapes(engine: Engine, shapes: Sequence[Shape], *, visual: bool) -> int:
-    """Make a compound of shapes, which can be either seen or touched; returns its number."""
+    """Make a compound of shapes, which can be either seen or touched. Returns its number."""
+    # As lists: PyBullet crashes on tuples.
+    columns = map(list, zip(*shapes, strict=True))
+    kinds, places, paints, boxes, radii, lengths, turns, files = columns
+    make = engine.createVisualShapeArray if visual else engine.createCollisionShapeArray
     frame = "visual" if visual else "collision"
-    arrays: dict[str, Any] = {
-        "shapeTypes": [shape.kind for shape in shapes],
-        "halfExtents": [shape.box for shape in shapes],
-        "radii": [shape.radius for shape in shapes],
-        "lengths": [shape.length for shape in shapes],
-        "fileNames": [shape.file for shape in shapes],
-        "meshScales": [(1.0, 1.0, 1.0)] * len(shapes),
-        f"{frame}FramePositions": [shape.place for shape in shapes],
-        f"{frame}FrameOrientations": [shape.turn for shape in shapes],
-    }
 
-    if visual:
-        colours = [shape.paint for shape in shapes]
-        return int(engine.createVisualShapeArray(**arrays, rgbaColors=colours))
-    return int(engine.createCollisionShapeArray(**arrays))
+    number = make(
+        shapeTypes=kinds,
+        halfExtents=boxes,
+        radii=radii,
+        lengths=lengths,
+        fileNames=files,
+        meshScales=[(1.0, 1.0, 1.0)] * len(shapes),
+        **{f"{frame}FramePositions": places, f"{frame}FrameOrientations": turns},
+        **({"rgbaColors": paints} if visual else {}),
+    )
+    return int(number)
 
 
-def turn_about_z(angle: float) -> Quaternion:
+def show_shapes(engine: Engine, shapes: Sequence[Shape]) -> int:
+    """Make a body that can only be seen. Returns its number."""
+    return int(engine.createMultiBody(0.0, -1, make_shapes(engine, shapes, visual=True)))
+
+
+def turn_about_z(angle: float) -> model.Quaternion:
     """Return the orientation of a body that is turned about the vertical axis [rad]."""
     return 0.0, 0.0, math.sin(angle / 2.0), math.cos(angle / 2.0)
 
@@ -334,7 +323,8 @@ def make_robot(config: RobotConfig, engine: Engine) -> int:
     shapes are small spheres ("feet") that touch the floor below the hubs: one contact each, at the
     right place, and nothing beyond the footprint. Returns PyBullet's number.
     """
-    chassis, radius = Chassis.of(config), config.wheel_radius
+    chassis = Chassis.of(config)
+    radius = config.wheel_radius
     middle = (0.0, 0.0, (chassis.top + chassis.bottom) / 2.0)
     half_height = (chassis.top - chassis.bottom) / 2.0
     half_x, half_y = config.outline[0]
@@ -396,8 +386,7 @@ def place_feet(config: RobotConfig) -> tuple[list[Point], float]:
     outline = config.outline
     feet = []
     for x, y in wheel_hubs(config.wheelbase / 2.0, config.wheel_separation / 2.0):
-        shares = (number / FOOT_PLACES for number in range(FOOT_PLACES, 0, -1))
-        places = ((share * x, share * y) for share in shares)
+        places = [(k / FOOT_PLACES * x, k / FOOT_PLACES * y) for k in range(FOOT_PLACES, 0, -1)]
         fitting = (
             place
             for place in places
@@ -462,8 +451,7 @@ class StandingObstacles:
     def paint(self) -> None:
         """Make the obstacles visible to PyBullet's camera and window. Idempotent."""
         for compound in self._unpainted:
-            shape = make_shapes(self._engine, compound, visual=True)
-            self._engine.createMultiBody(0.0, -1, shape)
+            show_shapes(self._engine, compound)
         self._unpainted = []
 
 
@@ -501,7 +489,8 @@ class MovingObstacles:
 
     def place(self, crowd: Crowd, x: float, y: float, reach: float) -> None:
         """Put movers whose hulls are within reach of a place [m] where they are, others away."""
-        near = list_near(crowd.states, crowd.radii, x, y, reach)
+        distances = np.hypot(*(crowd.states[:, [X, Y]] - (x, y)).T)
+        near = np.flatnonzero(distances < crowd.radii + reach).tolist()
         self.park(near)
         for number in near:
             x, y, vx, vy = crowd.states[number, :4].tolist()
@@ -522,44 +511,28 @@ class MovingObstacles:
         pybullet.resetBaseVelocity(body, velocity, ORIGIN, client)
 
 
-@loop
-def list_near(states: Floats, radii: Floats, x: float, y: float, reach: float) -> list[int]:
-    """Return numbers of the movers whose hulls are within reach of a place [m]."""
-    return [
-        m
-        for m in range(len(radii))
-        if math.hypot(states[m, X] - x, states[m, Y] - y) < radii[m] + reach
-    ]
-
-
 def list_compounds(world: World) -> list[list[Shape]]:
     """Return the shapes of all compounds: circles as cylinders, segments as thin boxes."""
     height = OBSTACLE_HEIGHT / 2.0
+    cylinder = Shape(pybullet.GEOM_CYLINDER, ORIGIN, length=OBSTACLE_HEIGHT)
     circles = [
-        Shape(
-            pybullet.GEOM_CYLINDER,
-            (x, y, height),
-            radius=max(radius, MIN_SIZE),
-            length=OBSTACLE_HEIGHT,
-        )
+        cylinder._replace(place=(x, y, height), radius=max(radius, MIN_SIZE))
         for x, y, radius in world.circles.tolist()
     ]
 
     starts, ends = np.hsplit(world.segments, 2)
-    along = ends - starts
+    middles = (starts + ends) / 2.0
+    along = (ends - starts).T
+    halves = np.maximum(np.hypot(*along) / 2.0, MIN_SIZE)
+    rows = np.column_stack([middles, halves, np.arctan2(*along[::-1])]).tolist()
     walls = [
         Shape(
             pybullet.GEOM_BOX,
             (x, y, height),
-            box=(max(length / 2.0, MIN_SIZE), WALL_THICKNESS / 2.0, height),
+            box=(half, WALL_THICKNESS / 2.0, height),
             turn=turn_about_z(angle),
         )
-        for (x, y), length, angle in zip(
-            ((starts + ends) / 2.0).tolist(),
-            np.hypot(along[:, X], along[:, Y]).tolist(),
-            np.arctan2(along[:, Y], along[:, X]).tolist(),
-            strict=True,
-        )
+        for x, y, half, angle in rows
     ]
     return [*group_neighbours(circles), *group_neighbours(walls)]
 

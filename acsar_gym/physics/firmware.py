@@ -13,7 +13,7 @@ from collections import deque
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.physics import Physics, compute_physics
 from acsar_gym.physics.body import Body
-from acsar_gym.physics.model import limit_speeds, loop_period, ramp_set_points, read_encoders
+from acsar_gym.physics.model import loop_period, ramp_set_points, read_encoders
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds, encode_line, line_end
 
 TIME_EPSILON = 1e-9
@@ -40,7 +40,7 @@ class Firmware:
         self._dt = loop_period(config)
         a, b, c, d = (config.motor.of_wheel(wheel).acceleration * self._dt for wheel in range(4))
         self._ramps: Speeds = (a, b, c, d)
-        self._top = config.motor.max_speed
+        self._top: Speeds = (config.motor.max_speed,) * 4
         self._configured = compute_physics(config)
 
         self._line_end = line_end(trailing_comma=config.trailing_comma)
@@ -65,7 +65,6 @@ class Firmware:
         self._elapsed = 0.0
         self._loops = 0
         self._lines = 0
-        self._line_due = self._feedback_every - TIME_EPSILON
         self._receive_free = 0.0
         self._send_free = 0.0
         self._received: deque[tuple[float, bytes]] = deque()
@@ -79,7 +78,7 @@ class Firmware:
         self._angles.extend([self._body.wheel_angles] * (self._angles.maxlen or 1))
 
     def receive(self, data: bytes) -> None:
-        """Take bytes that the host sends now; they arrive in sequence."""
+        """Take bytes that the host sends now. They arrive in sequence."""
         start = max(self._receive_free, self._elapsed)
         self._receive_free = start + len(data) * self._byte_time
         self._received.append((self._receive_free + self._reaction, data))
@@ -111,9 +110,8 @@ class Firmware:
         self._body.step(self._set_points)
         self._angles.append(self._body.wheel_angles)
         self._loops += 1
-        if self._loops >= self._line_due:
+        if self._loops >= (self._lines + 1) * self._feedback_every - TIME_EPSILON:
             self._lines += 1
-            self._line_due = (self._lines + 1) * self._feedback_every - TIME_EPSILON
             self._send_line()
 
     def _take_commands(self, data: bytes, now: float) -> None:
@@ -121,7 +119,7 @@ class Firmware:
         for reading in self.decoder.feed(data):
             self._last_command = now
             wheels = self._motors.to_wheels(reading.speeds) if self._motors else reading.speeds
-            self._targets = limit_speeds(Reading(wheels).over(self._targets), self._top)
+            self._targets = ramp_set_points(ZERO, Reading(wheels).over(self._targets), self._top)
 
     def _send_line(self) -> None:
         """Send an encoder line: wheel speeds from the whole counts of the last window [rad/s]."""

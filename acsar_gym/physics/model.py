@@ -1,10 +1,10 @@
 """Motor and tyre model of a skid-steer robot on a flat floor, as pure scalar functions.
 
-The planar state is (vx, vy [m/s], yaw rate [rad/s]) in the body frame; wheels are in the order
+The planar state is (vx, vy [m/s], yaw rate [rad/s]) in the body frame. Wheels are in the order
 front_right, front_left, rear_left, rear_right. Tyres have Coulomb friction under equal loads,
 smoothed below a small slip speed: a contact patch that slips with (s_x, s_y) over the ground gets
 F = -grip (s_x, kappa s_y) / sqrt(s_x^2 + kappa s_y^2). With kappa = (mu_lateral /
-mu_longitudinal)^2 this is a friction ellipse whose force dissipates most for its size; kappa = 1 is
+mu_longitudinal)^2 this is a friction ellipse whose force dissipates most for its size. Kappa 1 is
 isotropic friction. That law is stiff, so it is solved implicitly: backward Euler with secant
 friction, a symmetric 3 x 3 system per fixed-point round. In a steady turn the exact solution turns
 1 + kappa (wheelbase / wheel_separation)^2 times slower than the differential-drive formula says.
@@ -31,6 +31,11 @@ Velocity = tuple[float, float, float]
 """vx, vy [m/s] and yaw rate [rad/s], or three axes [m/s, rad/s]."""
 Quaternion = tuple[float, float, float, float]
 """Orientation (x, y, z, w)."""
+Motion = tuple[Velocity, Quaternion, Velocity, Velocity]
+"""Position [m], orientation, velocity [m/s] and spin [rad/s], in the frame of the world."""
+Motors = tuple[Speeds, Speeds, Speeds]
+"""Speeds of the four wheels [rad/s], angles turned by them [rad], set points of the firmware
+[rad/s]."""
 
 
 def loop_period(config: RobotConfig) -> float:
@@ -68,17 +73,6 @@ def ramp_set_points(set_points: Speeds, targets: Speeds, steps: Speeds) -> Speed
 
 
 @loop
-def limit_speeds(speeds: Speeds, top: float) -> Speeds:
-    """Limit four wheel speeds to a top speed in both directions [rad/s]."""
-    return (
-        min(max(speeds[0], -top), top),
-        min(max(speeds[1], -top), top),
-        min(max(speeds[2], -top), top),
-        min(max(speeds[3], -top), top),
-    )
-
-
-@loop
 def round_printed(speed: float, quantum: float) -> float:
     """Round a measured speed [rad/s] to a multiple of the quantum.
 
@@ -100,7 +94,7 @@ def read_encoders(
         last: Angles at its end.
         per_radian: Counts of an encoder per radian.
         per_count: Speed for a count in the window [rad/s].
-        quantum: Speeds are multiples of this [rad/s]; 0 for speeds as measured.
+        quantum: Speeds are multiples of this [rad/s], or 0 for speeds as measured.
     """
     speeds = np.empty(4)
     for wheel in range(4):
@@ -175,6 +169,7 @@ def wheel_speed(
 def turn_wheels(wheels: Speeds, set_points: Speeds, physics: Any) -> Speeds:
     """Compute the speeds of four wheels one substep later [rad/s]."""
     top = physics.max_speed
+
     return (
         wheel_speed(
             wheels[0],
@@ -267,24 +262,14 @@ def tyre_step(
 
 @loop
 def robot_step(
-    cos: float,
-    sin: float,
-    velocity: Velocity,
-    wheels: Speeds,
-    angles: Speeds,
-    set_points: Speeds,
-    physics: Any,
-    dt: float,
+    heading: tuple[float, float], velocity: Velocity, motors: Motors, physics: Any, dt: float
 ) -> tuple[Velocity, Speeds, Speeds]:
     """Advance motors, then tyres, by one substep.
 
     Args:
-        cos: Cosine of the heading.
-        sin: Sine of the heading.
+        heading: Cosine and sine of the heading.
         velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
-        wheels: Speeds of the four wheels [rad/s].
-        angles: Angles turned by the four wheels [rad].
-        set_points: Set points of the firmware [rad/s].
+        motors: See `Motors`.
         physics: Physics of the robot, a record of `Physics`.
         dt: Substep [s].
 
@@ -292,6 +277,8 @@ def robot_step(
         The new velocity, wheel speeds and wheel angles.
     """
     robot = physics[0]
+    cos, sin = heading
+    wheels, angles, set_points = motors
     a, b, c, d = turn_wheels(wheels, set_points, robot)
 
     vx, vy, rate = velocity
@@ -312,7 +299,7 @@ def robot_step(
 
 
 @jit
-def heading(orientation: Quaternion) -> tuple[float, float]:
+def heading_of(orientation: Quaternion) -> tuple[float, float]:
     """Return cosine and sine of the heading of a robot on a floor."""
     qx, qy, qz, qw = orientation
     return 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
@@ -320,46 +307,21 @@ def heading(orientation: Quaternion) -> tuple[float, float]:
 
 @loop
 def push_robot(
-    orientation: Quaternion,
-    velocity: Velocity,
-    spin: Velocity,
-    wheels: Speeds,
-    angles: Speeds,
-    set_points: Speeds,
-    physics: Any,
-    dt: float,
+    motion: Motion, motors: Motors, physics: Any, dt: float
 ) -> tuple[Velocity, Velocity, Speeds, Speeds]:
     """`robot_step` for an engine that moves the chassis itself, by a force [N] and a torque [Nm].
 
-    Orientation, velocity [m/s], spin [rad/s], force and torque are in the world frame.
+    Force and torque are in the world frame, as the motion is.
     """
-    cos, sin = heading(orientation)
-    vx = velocity[0]
-    vy = velocity[1]
-    rate = spin[2]
+    _, orientation, (vx, vy, _), (_, _, rate) = motion
     (new_vx, new_vy, new_rate), wheels, angles = robot_step(
-        cos,
-        sin,
-        (vx, vy, rate),
-        wheels=wheels,
-        angles=angles,
-        set_points=set_points,
-        physics=physics,
-        dt=dt,
+        heading_of(orientation), (vx, vy, rate), motors, physics=physics, dt=dt
     )
 
     push = physics[0].mass / dt
     twist = physics[0].yaw_inertia / dt
     force = (push * (new_vx - vx), push * (new_vy - vy), 0.0)
     return force, (0.0, 0.0, twist * (new_rate - rate)), wheels, angles
-
-
-def closed_form_yaw_rate(speeds: Speeds, config: RobotConfig) -> float:
-    """Return the yaw rate [rad/s] of a steady turn with constant wheel speeds [rad/s]."""
-    left_radius, right_radius = config.wheel_radii
-    right_rim = (speeds[0] + speeds[3]) / 2.0 * right_radius
-    left_rim = (speeds[1] + speeds[2]) / 2.0 * left_radius
-    return (right_rim - left_rim) / config.wheel_separation / turn_factor(config)
 
 
 @loop

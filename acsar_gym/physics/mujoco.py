@@ -30,18 +30,17 @@ from acsar_gym.physics.body import (
     OBSTACLE_HEIGHT,
     OBSTACLE_PAINT,
     WALL_THICKNESS,
+    Body,
     Chassis,
     Image,
     Paint,
     has_display,
     prepare_opengl,
     wheel_hubs,
-    wrap_angle,
 )
 from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.resources import ASSETS
-from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds import Scene, World
+from acsar_gym.worlds import Pose, Scene, World
 from acsar_gym.worlds.crowd import VX, VY, Crowd, Y
 from acsar_gym.worlds.world import MAX_COORDINATE
 
@@ -56,16 +55,17 @@ URDF = ASSETS / "robots" / "acsar.urdf"
 WHEELS = ("front_right_wheel", "front_left_wheel", "rear_left_wheel", "rear_right_wheel")
 
 MAX_TIME_STEP = 0.002
-"""Longest step of the engine, MuJoCo's default [s]; a firmware loop has a whole number of them."""
+"""Longest step of the engine, MuJoCo's default [s]. A firmware loop has a whole number of them."""
 IMPEDANCE_RATIO = 10.0
-"""How much harder friction is than the contact's normal; with 1, wheels at rest creep."""
+"""How much harder friction is than the contact's normal. With 1, wheels at rest creep."""
 SERVO_TIME = 0.005
 """Time constant of the speed controller of a motor [s]."""
 SETTLING_TIME = 0.3
 """Time after which a robot that was put on the floor is at rest [s]."""
 ANGLE_DECIMALS = 6
 """Decimals of a wheel's angle [rad]: a wheel at rest trembles, and an encoder must not see it."""
-FLOOR, OBSTACLES = 1, 2
+FLOOR = 1
+OBSTACLES = 2
 """Bits of what a shape may touch."""
 PUSH = (-1000.0, -200.0)
 """Stiffness [1/s^2] and damping [1/s] of the contact between a mover and the robot, negated as
@@ -79,7 +79,7 @@ FLOOR_COLOUR: Paint = (0.8, 0.82, 0.84, 1.0)
 SHAPE = mujoco.mjtGeom
 
 
-class MujocoBody:
+class MujocoBody(Body):
     """A MuJoCo simulation with a floor, a robot and the obstacles of a world.
 
     Args:
@@ -87,23 +87,18 @@ class MujocoBody:
     """
 
     def __init__(self, config: RobotConfig) -> None:
-        self._config = config
-        self._configured = model.compute_physics(config)
-        self._substeps = math.ceil(model.loop_period(config) / MAX_TIME_STEP - 1e-9)
+        super().__init__(config)
+        self._substeps = math.ceil(self._dt / MAX_TIME_STEP - 1e-9)
         self._renderer: Any = None
         self._compile(self._configured, None)
         self.reset(Scene())
 
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
-        physics = scene.physics or self._configured
-        if pick_body(physics) != pick_body(self._physics) or scene.world is not self._world:
-            self._compile(physics, scene.world)
-        self._physics: Physics = physics
+        super().reset(scene)
+        if pick_body(self._physics) != self._compiled or scene.world is not self._world:
+            self._compile(self._physics, scene.world)
         self._motors: Speeds = ZERO
-        self.wheel_angles: Speeds = ZERO
-        self.wheel_speeds: Speeds = ZERO
-        self._touched = False
 
         mujoco.mj_resetData(self._model, self._data)
         x, y, theta = scene.start
@@ -117,12 +112,12 @@ class MujocoBody:
         """Make the model of a robot in a world."""
         self.close()
         spec = make_robot(self._config, physics)
-        spec.option.timestep = model.loop_period(self._config) / self._substeps
+        spec.option.timestep = self._dt / self._substeps
         if world is not None:
             add_obstacles(spec, world)
             add_movers(spec, world)
         self._world = world
-        self._physics = physics
+        self._compiled = pick_body(physics)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         joints = [self._model.joint(f"{wheel}_joint") for wheel in WHEELS]
@@ -148,13 +143,13 @@ class MujocoBody:
         self.wheel_angles = (a, b, c, d)
 
     def place_movers(self, crowd: Crowd) -> None:
-        """Put the movers where they are; at their velocities they go on until the next tick."""
+        """Put the movers where they are. At their velocities they go on until the next tick."""
         count = 2 * len(crowd.states)
         self._data.qpos[-count:] = crowd.states[:, : Y + 1].ravel()
         self._data.qvel[-count:] = crowd.states[:, VX : VY + 1].ravel()
 
     def feel(self) -> None:
-        """Check whether the robot touches a standing obstacle now; obstacles also stop it."""
+        """Check whether the robot touches a standing obstacle now. Obstacles also stop it."""
         world = self._world
         if world is not None and world.obstacles and not self._touched:
             contact = self._data.contact
@@ -163,19 +158,15 @@ class MujocoBody:
             hit = (shapes > 0) & (shapes <= world.obstacles) & (contact.dist <= 0.0)
             self._touched = bool(hit.any())
 
-    @property
-    def truth(self) -> GroundTruth:
-        """Ground truth of the robot, in the frame of the world."""
+    def _locate(self) -> tuple[Pose, model.Velocity]:
         x, y, _, qw, qx, qy, qz = self._data.qpos[:7].tolist()
         vx, vy, _, _, _, rate = self._data.qvel[:6].tolist()
-        cos, sin = model.heading((qx, qy, qz, qw))
-        theta = math.atan2(sin, cos)
-        forward = vx * math.cos(theta) + vy * math.sin(theta)
-        return GroundTruth((x, y, wrap_angle(theta)), (forward, rate), self._touched)
+        cos, sin = model.heading_of((qx, qy, qz, qw))
+        return (x, y, math.atan2(sin, cos)), (vx, vy, rate)
 
     @property
     def power(self) -> float:
-        """Mechanical power that the motors give to the ground now [W]; see `model.motor_power`."""
+        """Mechanical power that the motors give to the ground now [W]. See `model.motor_power`."""
         powers = -self._data.qfrc_constraint[self._rates] * self._data.qvel[self._rates]
         return float(np.maximum(powers, 0.0).sum())
 
@@ -222,7 +213,7 @@ class MujocoBody:
 
 
 def pick_body(physics: Physics) -> tuple[float, ...]:
-    """Return the numbers of which `make_robot` makes a body; the others act from outside."""
+    """Return the numbers of which `make_robot` makes a body. The others act from outside."""
     return (
         physics.left_radius,
         physics.right_radius,
@@ -242,7 +233,7 @@ def make_robot(config: RobotConfig, physics: Physics) -> Any:
     """Make the URDF's robot on a floor, with the sizes, masses and friction of another robot.
 
     Shapes are placed as the config defines, masses are shared out as in the URDF, and inertia
-    follows from shapes; the URDF's own robot comes out as it went in. An invisible prism of the
+    follows from shapes. The URDF's own robot comes out as it went in. An invisible prism of the
     footprint is what touches obstacles.
     """
     spec = mujoco.MjSpec.from_file(str(URDF))

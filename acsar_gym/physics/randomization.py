@@ -39,7 +39,8 @@ Floats = NDArray[np.float64]
 WHEELS = "abcd"
 LEAST_TURN = 1.001
 """Least turn factor of a range. A turn factor of 1 would be a tyre without sideways friction."""
-MIN_FACTOR, MAX_FACTOR = 1e-6, 1e3
+MIN_FACTOR = 1e-6
+MAX_FACTOR = 1e3
 """Smallest and largest factor that a range can have."""
 LEVEL_WIDTHS = {1: 0.5, 2: 1.0, 3: 2.0}
 """Widths of the levels of randomization, relative to what `acsar-gym train` randomizes."""
@@ -48,7 +49,7 @@ MIN_LEVEL_FACTOR = 0.05
 
 
 class Rule(IntEnum):
-    """How a drawn number changes a number of the physics; see `apply_rule`."""
+    """How a drawn number changes a number of the physics. See `apply_rule`."""
 
     FACTOR = 0
     """It multiplies the configured number."""
@@ -66,6 +67,7 @@ class Rule(IntEnum):
     """It is a rate [Hz], and its period in whole firmware loops replaces the configured period."""
 
 
+FACTOR, TURN, LAG, VALUE, OFFSET, LATENCY_RULE, RATE = Rule
 NEUTRAL = (1.0, 1.0, 1.0, math.nan, 0.0, 0.0, math.nan)
 """Numbers that change nothing, by rule."""
 
@@ -89,7 +91,7 @@ class Parameter:
 
 
 def parameter(rule: Rule, *changes: str, **options: Any) -> Any:
-    """Return a field of the table, which is None by default; see `Parameter`."""
+    """Return a field of the table, which is None by default. See `Parameter`."""
     row: Any = Parameter(rule, changes, **options)
     return Field(default=None, json_schema_extra={"row": row})
 
@@ -102,56 +104,56 @@ class DrawnRanges(NamedTuple):
     high: Floats
     """Largest value of each number."""
     delays: Floats
-    """Delays of which `delay_samples` draws one [s]; its low and high are the shares 0 and 1."""
+    """Delays of which `delay_samples` draws one [s]. Its low and high are the shares 0 and 1."""
 
 
 class Randomization(Section):
-    """Ranges (low, high) from which every episode draws; a parameter that is None doesn't vary.
+    """Ranges (low, high) from which every episode draws. A parameter that is None doesn't vary.
 
-    The same on every simulated link and in a batch. Factors multiply the configured value; other
+    The same on every simulated link and in a batch. Factors multiply the configured value. Other
     values replace it or are added to it. The info of an episode has what was drawn, as applied,
     under "drawn_" and the name.
     """
 
     section = "randomization"
-    mass: Ends = parameter(Rule.FACTOR, "mass", "yaw_inertia", "grip", measured=("body.mass",))
+    mass: Ends = parameter(FACTOR, "mass", "yaw_inertia", "grip", measured=("body.mass",))
     """Factor on the mass, and so on inertia and wheel loads."""
-    friction: Ends = parameter(Rule.FACTOR, "grip", default=(0.7, 1.2), measured=("body.friction",))
+    friction: Ends = parameter(FACTOR, "grip", default=(0.7, 1.2), measured=("body.friction",))
     """Factor on the friction between tyre and ground."""
     motor_gain: Ends = parameter(
-        Rule.FACTOR, "gain", default=(0.95, 1.05), measured=("motor.gain",), per_wheel=True
+        FACTOR, "gain", default=(0.95, 1.05), measured=("motor.gain",), per_wheel=True
     )
-    """Factor on each wheel's speed for its set point; four numbers."""
+    """Factor on each wheel's speed for its set point, four numbers."""
     motor_lag: Ends = parameter(
-        Rule.LAG, "blend", default=(0.6, 1.5), measured=("motor.time_constant",), per_wheel=True
+        LAG, "blend", default=(0.6, 1.5), measured=("motor.time_constant",), per_wheel=True
     )
-    """Factor on each wheel's time constant; four numbers. No effect on motors without lag."""
-    deadband: Ends = parameter(Rule.VALUE, "deadband", bounds=(0.0, 1e3))
+    """Factor on each wheel's time constant, four numbers. No effect on motors without lag."""
+    deadband: Ends = parameter(VALUE, "deadband", bounds=(0.0, 1e3))
     """Set points below this don't turn the wheel [rad/s]."""
     wheel_radius: Ends = parameter(
-        Rule.FACTOR, "left_radius", "right_radius", default=(0.98, 1.02), measured=("wheel_radius",)
+        FACTOR, "left_radius", "right_radius", default=(0.98, 1.02), measured=("wheel_radius",)
     )
-    """Factor on the real wheel radius; odometry still assumes the configured one."""
+    """Factor on the real wheel radius. Odometry still assumes the configured one."""
     latency: Ends = parameter(
-        Rule.LATENCY, "latency_loops", default=(0.0, 0.02), bounds=(0.0, 10.0)
+        LATENCY_RULE, "latency_loops", default=(0.0, 0.02), bounds=(0.0, 10.0)
     )
-    """Delay of commands and feedback on top of the wire's own [s], in whole firmware loops;
+    """Delay of commands and feedback on top of the wire's own [s], in whole firmware loops,
     shorter than an env step."""
-    feedback_rate: Ends = parameter(Rule.RATE, "feedback_loops", bounds=(0.1, 1e4))
+    feedback_rate: Ends = parameter(RATE, "feedback_loops", bounds=(0.1, 1e4))
     """Feedback lines per second [Hz], rounded to whole firmware loops."""
-    track_width: Ends = parameter(Rule.FACTOR, "half_track")
-    """Factor on the real distance between left and right wheels; odometry still assumes the
+    track_width: Ends = parameter(FACTOR, "half_track")
+    """Factor on the real distance between left and right wheels. Odometry still assumes the
     configured one. Tyres that wear or bulge change where they touch the ground."""
     left_wheel_radius: Ends = parameter(
-        Rule.FACTOR, "left_radius", measured=("left_wheel_radius_multiplier",)
+        FACTOR, "left_radius", measured=("left_wheel_radius_multiplier",)
     )
-    """Factor on the real radius of the left wheels; odometry still assumes the configured one."""
+    """Factor on the real radius of the left wheels. Odometry still assumes the configured one."""
     right_wheel_radius: Ends = parameter(
-        Rule.FACTOR, "right_radius", measured=("right_wheel_radius_multiplier",)
+        FACTOR, "right_radius", measured=("right_wheel_radius_multiplier",)
     )
     """Factor on the real radius of the right wheels."""
     turn_factor: Ends = parameter(
-        Rule.TURN,
+        TURN,
         "kappa",
         default=(0.9, 1.1),
         # A multiplier that is right for a robot is the factor by which it turns slower.
@@ -160,26 +162,26 @@ class Randomization(Section):
     """Factor on the robot's turn factor (see `body.turn_factor`), which depends on the ground. No
     effect in MuJoCo, whose contacts decide by themselves how a robot turns."""
     command_delay: Ends = parameter(
-        Rule.VALUE, "command_delay", measured=("firmware.command_delay",), bounds=(0.0, 1.0)
+        VALUE, "command_delay", measured=("firmware.command_delay",), bounds=(0.0, 1.0)
     )
     """Time from the last byte of a command to its effect, after the processing time [s]."""
     delay_samples: Annotated[tuple[Delay, ...], Field(min_length=1)] | None = parameter(
-        Rule.OFFSET, "command_delay", bounds=None
+        OFFSET, "command_delay", bounds=None
     )
-    """Delays of commands on top of `command_delay` [s]; each episode draws one of them."""
+    """Delays of commands on top of `command_delay` [s]. Each episode draws one of them."""
     deadband_offset: Ends = parameter(
-        Rule.OFFSET, "deadband", measured=("motor.deadband",), bounds=(-1e3, 1e3), per_wheel=True
+        OFFSET, "deadband", measured=("motor.deadband",), bounds=(-1e3, 1e3), per_wheel=True
     )
-    """Added to each wheel's deadband, which stays at least 0 [rad/s]; four numbers."""
-    lidar_rate: Ends = parameter(Rule.VALUE, "scan_rate", bounds=(0.1, 1e4))
+    """Four numbers, added to the wheels' deadbands, which stay at least 0 [rad/s]."""
+    lidar_rate: Ends = parameter(VALUE, "scan_rate", bounds=(0.1, 1e4))
     """Revolutions of the LiDAR per second [Hz]."""
-    lidar_noise: Ends = parameter(Rule.VALUE, "range_noise", bounds=(0.0, 1e3))
+    lidar_noise: Ends = parameter(VALUE, "range_noise", bounds=(0.0, 1e3))
     """Standard deviation of the LiDAR's ranges [m]."""
-    lidar_bias: Ends = parameter(Rule.VALUE, "range_bias", bounds=(-1e3, 1e3))
+    lidar_bias: Ends = parameter(VALUE, "range_bias", bounds=(-1e3, 1e3))
     """Added to all of the LiDAR's ranges [m]."""
-    lidar_dropouts: Ends = parameter(Rule.VALUE, "range_dropouts", bounds=(0.0, 1.0))
+    lidar_dropouts: Ends = parameter(VALUE, "range_dropouts", bounds=(0.0, 1.0))
     """Share of the LiDAR's measurements that fail."""
-    lidar_outliers: Ends = parameter(Rule.VALUE, "range_outliers", bounds=(0.0, 1.0))
+    lidar_outliers: Ends = parameter(VALUE, "range_outliers", bounds=(0.0, 1.0))
     """Share of the LiDAR's measurements at an edge that lie between its two sides."""
 
     @field_validator("*")
@@ -254,7 +256,7 @@ class Randomization(Section):
         high = low.copy()
         for name in self.names:
             for wheel, place in enumerate(PLACES[name]):
-                if TABLE[name].rule is Rule.LAG and not config.motor.of_wheel(wheel).time_constant:
+                if TABLE[name].rule is LAG and not config.motor.of_wheel(wheel).time_constant:
                     continue  # a motor without lag draws nothing
                 ends = (0.0, 1.0) if place == DELAY else getattr(self, name)
                 low[place], high[place] = ends
@@ -300,32 +302,29 @@ TABLE: dict[str, Parameter] = {
 }
 
 
-def _order_numbers() -> list[str]:
-    """Parameters in the order in which numbers are drawn, those of wheels wheel by wheel."""
-    names: list[str] = []
-    for per_wheel, group in itertools.groupby(TABLE, lambda name: TABLE[name].per_wheel):
-        names += [*group] * (len(WHEELS) if per_wheel else 1)
-    return names
-
-
-def _list_changes() -> list[tuple[int, int, int]]:
-    """Place of a drawn number, place of a number of the physics that it changes, and the rule."""
-    changes = []
-    for name, parameter in TABLE.items():
-        for stem in parameter.changes:
-            wheels = [f"{stem}_{wheel}" for wheel in WHEELS]
-            fields = [stem] if stem in Physics._fields else wheels
-            for place, field in zip(itertools.cycle(PLACES[name]), fields, strict=False):
-                changes.append((place, Physics._fields.index(field), int(parameter.rule)))
-    return changes
-
-
-ORDER = _order_numbers()
+ORDER = [
+    name
+    for per_wheel, group in itertools.groupby(TABLE, lambda name: TABLE[name].per_wheel)
+    for name in [*group] * (len(WHEELS) if per_wheel else 1)
+]
+"""Parameters in the order in which numbers are drawn, those of wheels wheel by wheel."""
 PLACES = {name: [k for k, drawn in enumerate(ORDER) if drawn == name] for name in TABLE}
 """Places of a parameter's numbers among those that are drawn: one, or four in wheel order."""
 NEUTRAL_NUMBERS = [NEUTRAL[TABLE[name].rule] for name in ORDER]
-CHANGES = np.array(list(zip(*_list_changes(), strict=True)))
-"""(3, changes): see `_list_changes`."""
+CHANGES = np.array(
+    [
+        (place, number, row.rule)
+        for name, row in TABLE.items()
+        for stem in row.changes
+        for place, number in zip(
+            itertools.cycle(PLACES[name]),
+            [n for n, field in enumerate(Physics._fields) if stem in (field, field[:-2])],
+            strict=False,
+        )
+    ]
+).T
+"""(3, changes): place of a drawn number, that of a number of the physics that it changes, and the
+rule."""
 PHYSICS_SIZE = len(Physics._fields)
 LATENCY, FEEDBACK_RATE, DELAY = (
     PLACES[name][0] for name in ("latency", "feedback_rate", "delay_samples")
@@ -339,56 +338,46 @@ HALF_WHEELBASE, HALF_TRACK = map(Physics._fields.index, ("half_wheelbase", "half
 def measured_ranges(config: RobotConfig) -> Ranges:
     """Return the parameters that follow from a robot's measurements, with their ranges.
 
-    A measured interval becomes the range of its parameter; factors are relative to the configured
+    A measured interval becomes the range of its parameter. Factors are relative to the configured
     value. If wheels have their own intervals, the range contains all of them, and the default range
     for wheels without an interval.
     """
     ranges: Ranges = {}
-    for name, parameter in TABLE.items():
-        measured = next(filter(config.measured.get, parameter.measured), "")
-        if parameter.per_wheel:
-            ends = _wheel_ends(config, parameter)
-            if ends:
-                ranges[name] = (min(ends), max(ends))
-        elif measured:
-            ranges[name] = _follow_interval(config, parameter.rule, measured)
+    for name, row in TABLE.items():
+        candidates = (_list_ends(config, row, path) for path in row.measured)
+        ends = next(filter(None, candidates), None)
+        if ends:
+            ranges[name] = (min(ends), max(ends))
     if config.firmware.delay_samples:
         ranges["delay_samples"] = config.firmware.delay_samples
     return ranges
 
 
-def _follow_interval(config: RobotConfig, rule: Rule, path: str) -> Range:
-    """Return the range of a parameter whose field of the config was measured."""
-    interval = config.measured[path]
-    if rule is Rule.FACTOR:
-        value: Any = functools.reduce(getattr, path.split("."), config)
-        return _relative_range(interval, value)
-    if rule is Rule.TURN:
-        factor = turn_factor(config)
-        return max(interval.low, LEAST_TURN) / factor, max(interval.high, LEAST_TURN) / factor
-    return max(interval.low, 0.0), max(interval.high, 0.0)
-
-
-def _wheel_ends(config: RobotConfig, parameter: Parameter) -> list[float]:
-    """Return the ends of the ranges of all wheels; nothing if none was measured."""
-    (path,) = parameter.measured
+def _list_ends(config: RobotConfig, row: Parameter, path: str) -> list[float]:
+    """List the ends of the ranges of all wheels or of the robot, if it was measured."""
+    value: Any = functools.reduce(getattr, path.split("."), config)
+    value = turn_factor(config) if row.rule is TURN else value
     common = config.measured.get(path)
-    intervals = [config.measured.get(f"{path}.{wheel}", common) for wheel in WHEELS]
-    values = getattr(config.motor, path.removeprefix("motor."))
+    wheels = WHEELS if row.per_wheel else WHEELS[:1]
+    intervals = [config.measured.get(f"{path}.{wheel}", common) for wheel in wheels]
     ends: list[float] = []
-    for wheel, interval in enumerate(intervals):
-        value = value_of_wheel(values, wheel)
-        if parameter.rule is Rule.OFFSET:
-            ends += [interval.low - value, interval.high - value] if interval else []
-        elif any(intervals) and value > 0.0:
-            ends += _relative_range(interval, value) if interval else parameter.default or ()
+    for wheel, interval in enumerate(intervals if any(intervals) else ()):
+        number = value_of_wheel(value, wheel)
+        if number > 0.0 or row.rule is not LAG:
+            ends += _follow(interval, row.rule, number) if interval else row.default or ()
     return ends
 
 
-def _relative_range(interval: Measured, value: float) -> Range:
-    """Return an interval as a range of factors on a value."""
-    low = min(max(interval.low / value, MIN_FACTOR), MAX_FACTOR)
-    return low, min(max(interval.high / value, MIN_FACTOR), MAX_FACTOR)
+def _follow(interval: Measured, rule: Rule, value: float) -> list[float]:
+    """List the ends of a parameter's range for an interval of what was configured as `value`."""
+    ends = [interval.low, interval.high]
+    if rule is OFFSET:
+        return [end - value for end in ends]
+    if rule is TURN:
+        return [max(end, LEAST_TURN) / value for end in ends]
+    if rule is VALUE:
+        return [max(end, 0.0) for end in ends]
+    return [min(max(end / value, MIN_FACTOR), MAX_FACTOR) for end in ends]
 
 
 def choose_ranges(config: RobotConfig) -> Ranges:
@@ -404,7 +393,7 @@ def choose_ranges(config: RobotConfig) -> Ranges:
 
 
 def describe_ranges(config: RobotConfig) -> str:
-    """Describe which ranges of a robot were measured; empty if none was."""
+    """Describe which ranges of a robot were measured, in an empty text if none was."""
     measured = measured_ranges(config)
     if not measured:
         return ""
@@ -429,11 +418,9 @@ def randomization_level(config: RobotConfig, number: int) -> Randomization:
     ranges = choose_ranges(config)
     for name, ends in ranges.items():
         neutral = NEUTRAL[TABLE[name].rule]
-        if neutral == 1.0:
-            low, high = (1.0 + scale * (end - 1.0) for end in ends)
-            ranges[name] = (max(low, MIN_LEVEL_FACTOR), high)
-        elif neutral == 0.0 and name != "delay_samples":
-            ranges[name] = tuple(scale * end for end in ends)
+        if name != "delay_samples" and not math.isnan(neutral):
+            low, high = (neutral + scale * (end - neutral) for end in ends)
+            ranges[name] = (max(low, MIN_LEVEL_FACTOR) if neutral else low, high)
     low, high = ranges["turn_factor"]
     ranges["turn_factor"] = (max(low, LEAST_TURN / turn_factor(config)), high)
     return Randomization.of(ranges)
@@ -444,7 +431,7 @@ def randomization_level(config: RobotConfig, number: int) -> Randomization:
 
 @jit
 def loops_between(rate: float, dt: float) -> float:
-    """Return whole firmware loops between lines at a rate [Hz], at least one; NaN for NaN."""
+    """Return whole firmware loops between lines at a rate [Hz], at least one, or NaN for NaN."""
     loops: float = np.rint(1.0 / (rate * dt))
     return 1.0 if loops < 1.0 else loops
 
@@ -456,24 +443,25 @@ def apply_rule(rule: int, configured: float, drawn: float, ratio: float, dt: flo
     Args:
         rule: A `Rule`.
         configured: Number of the physics.
-        drawn: Number that was drawn; a neutral number changes nothing.
+        drawn: Number that was drawn. A neutral number changes nothing.
         ratio: Squared ratio of wheelbase and track, by which `kappa` follows from the turn factor.
         dt: Period of the firmware loop [s].
     """
     number = configured
-    if rule == Rule.FACTOR:
+
+    if rule == FACTOR:
         number = configured * drawn
-    elif rule == Rule.TURN and drawn != 1.0:
+    elif rule == TURN and drawn != 1.0:
         number = ((1.0 + configured * ratio) * drawn - 1.0) / ratio
-    elif rule == Rule.LAG and drawn != 1.0 and configured < 1.0:
+    elif rule == LAG and drawn != 1.0 and configured < 1.0:
         number = 1.0 - math.exp(math.log(1.0 - configured) / drawn)
-    elif rule == Rule.VALUE and not np.isnan(drawn):
+    elif rule == VALUE and not np.isnan(drawn):
         number = drawn
-    elif rule == Rule.OFFSET:
+    elif rule == OFFSET:
         number = max(configured + drawn, 0.0)
-    elif rule == Rule.LATENCY:
+    elif rule == LATENCY_RULE:
         number = configured + np.rint(drawn / dt)
-    elif rule == Rule.RATE and not np.isnan(drawn):
+    elif rule == RATE and not np.isnan(drawn):
         number = loops_between(drawn, dt)
     return number
 
@@ -486,7 +474,7 @@ def draw_robot(
 
     Args:
         nominal: Numbers of the configured `Physics`.
-        low: Least value of each drawn number; see `DrawnRanges`.
+        low: Least value of each drawn number. See `DrawnRanges`.
         high: Largest value of each drawn number.
         delays: Delays of which one is drawn [s].
         samples: Random numbers from 0 to 1, one for each drawn number.
@@ -518,7 +506,7 @@ class Randomizer:
         config: Robot configuration.
         step: Duration of an env step [s].
         simulated: Whether the link is simulated, so that physics can vary.
-        unused: Parameters that have no effect on this link; they are drawn, but not reported.
+        unused: Parameters that have no effect on this link. They are drawn, but not reported.
 
     Raises:
         ConfigError: Physics can't vary on this link, or as `Randomization.of` and
@@ -548,7 +536,7 @@ class Randomizer:
         self._drawn = np.array(NEUTRAL_NUMBERS)
 
     def draw(self, rng: np.random.Generator) -> Physics | None:
-        """Draw the physics of an episode; None if nothing varies."""
+        """Draw the physics of an episode, or None if nothing varies."""
         if not self._names:
             return None
         varies = self._ranges.high > self._ranges.low

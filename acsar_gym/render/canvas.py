@@ -28,7 +28,8 @@ FINE_SCALE = 2
 """Supersampling factor in each direction, for antialiasing."""
 MAX_PIXEL = 1e4
 """Coordinates are clipped to this [fine pixels], as Pillow's time grows with a line's length."""
-MIN_SIDE, MAX_SIDE = 64, 4096
+MIN_SIDE = 64
+MAX_SIDE = 4096
 """Smallest and largest width and height of a picture [pixels]."""
 TEXT_HEIGHT = 12.0
 """Height of text [pixels]."""
@@ -61,9 +62,9 @@ class View:
 
     def pixels(self, points: Floats) -> Floats:
         """Convert points (N, 2) [m] to columns and rows (N, 2) [pixels]."""
-        across, ahead = (points - self.centre).T
-        if self.up == "x":
-            across, ahead = -ahead, across
+        x, y = (points - self.centre).T
+        across = -y if self.up == "x" else x
+        ahead = x if self.up == "x" else y
         width, height = self.size
         return np.column_stack(
             [width / 2.0 + self.scale * across, height / 2.0 - self.scale * ahead]
@@ -117,7 +118,7 @@ class Canvas:
         return pixels[np.isfinite(pixels).all(axis=1)].clip(-MAX_PIXEL, MAX_PIXEL)
 
     def line(self, points: Floats, colour: Colour, width: float) -> None:
-        """Draw a line through points (N, 2); nothing for fewer than two."""
+        """Draw a line through points (N, 2), or nothing for fewer than two."""
         pixels = thin_line(self._fine_pixels(points), 1.5 * FINE_SCALE)
         if len(pixels) >= 2:
             self.pen.line(flatten(pixels), fill=colour, width=round(FINE_SCALE * width))
@@ -129,7 +130,7 @@ class Canvas:
             self.pen.line([*origin, *end], fill=colour)
 
     def dashes(self, points: Floats, colour: Colour, width: float, dash: float) -> None:
-        """Draw a dashed line through points (N, 2); dashes and gaps are `dash` pixels long."""
+        """Draw a dashed line through points (N, 2). Dashes and gaps are `dash` pixels long."""
         length = path_lengths(points)
         stops = np.arange(0.0, length[-1], dash / self.view.scale)
         for start, end in zip(stops[::2], [*stops[1::2], length[-1]], strict=False):
@@ -148,12 +149,12 @@ class Canvas:
 
     def reveal(self, layer: Picture, points: Floats) -> None:
         """Copy the inside of a polygon with corners (N, 2) from a layer of the same size."""
+        pillow = import_pillow()
+        mask = pillow.Image.new("1", self.layer.size)
         corners = flatten(self._fine_pixels(points))
         if len(corners) >= 6:
-            pillow = import_pillow()
-            mask = pillow.Image.new("1", self.layer.size)
             pillow.ImageDraw.Draw(mask).polygon(corners, fill=1)
-            self.layer.paste(layer, (0, 0), mask)
+        self.layer.paste(layer, (0, 0), mask)
 
     def discs(
         self,
@@ -172,7 +173,7 @@ class Canvas:
             self.pen.ellipse(box, fill=fill, outline=edge, width=round(FINE_SCALE * width))
 
     def scale_bar(self, row: float, share: float, inset: float, *, right: bool = False) -> float:
-        """Draw a scale bar of at most a share of the width; returns its length [pixels]."""
+        """Draw a scale bar of at most a share of the width. Returns its length [pixels]."""
         width = self.view.size[0]
         metres = round_length(share * width / self.view.scale)
         length = metres * self.view.scale
@@ -196,8 +197,9 @@ class Canvas:
         anchor: str = "ls",
         box: Colour | None = None,
     ) -> None:
-        """Draw text at a pixel, on a box if `box` is a colour; `anchor` is Pillow's text anchor."""
-        at, font = (FINE_SCALE * place[0], FINE_SCALE * place[1]), load_font()
+        """Draw text at a pixel, on a box if `box` is a colour. `anchor` is Pillow's text anchor."""
+        at = (FINE_SCALE * place[0], FINE_SCALE * place[1])
+        font = load_font()
         if box is not None:
             pad = FINE_SCALE * TEXT_PADDING
             edges = np.add(self.pen.textbbox(at, words, font, anchor), (-pad, -pad, pad, pad))
@@ -269,7 +271,7 @@ def load_font() -> Any:
 
 
 def import_pillow() -> Any:
-    """Import Pillow with the modules used here; MissingExtraError if it isn't installed."""
+    """Import Pillow with the modules used here. Raises MissingExtraError if it isn't installed."""
     with require_extra("pictures", "pictures"):
         import PIL.Image  # noqa: PLC0415 - optional
         import PIL.ImageDraw  # noqa: PLC0415

@@ -25,7 +25,7 @@ CAMERA_SIZE = (640, 480)
 
 
 class Screen:
-    """Records the paths driven and draws pictures on request; does nothing without a mode.
+    """Records the paths driven, and draws pictures on request. Does nothing without a mode.
 
     Args:
         config: Robot configuration.
@@ -44,14 +44,14 @@ class Screen:
         return Screen, self._settings
 
     def begin(self, assignment: Assignment, tolerance: float) -> None:
-        """Start a new episode; `tolerance` is the radius of the goal [m]."""
+        """Start a new episode. `tolerance` is the radius of the goal [m]."""
         self._assignment = assignment
         self._tolerance = tolerance
         self._odom_path: list[tuple[float, float]] = []
         self._true_path: list[tuple[float, float]] = []
 
     def show(self, state: State, truth: GroundTruth | None, scan: Scan | None) -> None:
-        """Record the robot's new state; a window displays it at once.
+        """Record the robot's new state. A window displays it at once.
 
         If no window can be opened, warns once and continues without one.
         """
@@ -114,7 +114,7 @@ class Screen:
 
 
 class Window:
-    """Displays pictures with tkinter; it opens with the first one; to be used from one thread.
+    """Displays pictures with tkinter. The window opens with the first one. Use it from one thread.
 
     Once it is closed, by `close()` or by the user, further pictures are ignored.
     """
@@ -157,7 +157,7 @@ class Window:
         except tk.TclError as error:
             raise ConfigError(f"render_mode='human' needs a display; {hint}") from error
 
-        # A callback that is a method would keep this object alive; a finalizer doesn't.
+        # A callback that is a method would keep this object alive. A finalizer doesn't.
         self._destroy = weakref.finalize(self, root.destroy)
         root.protocol("WM_DELETE_WINDOW", self._destroy)
         root.title(self._title)

@@ -74,7 +74,7 @@ class TopViewFrame:
     odom: Pose = (0.0, 0.0, 0.0)
     """Pose by odometry."""
     truth: Pose | None = None
-    """True pose; None on hardware."""
+    """True pose, or None on hardware."""
     goal: Point | None = None
     goal_radius: float = 0.15
     """Radius of the goal [m]."""
@@ -90,9 +90,9 @@ class TopViewFrame:
 
 
 class TopView:
-    """Draws top views of a robot; the view stays the same while world and goal do.
+    """Draws top views of a robot. The view stays the same while world and goal do.
 
-    It is fitted to world and goal; without a world it is a square around origin and goal. It grows
+    It is fitted to world and goal. Without a world it is a square around origin and goal. It grows
     when the robot leaves it.
 
     Args:
@@ -313,13 +313,14 @@ def as_points(path: Sequence[Point]) -> Floats:
 def place_points(points: Floats, pose: Pose) -> Floats:
     """Transform points (N, 2) from the frame of a pose to the frame that the pose is in [m]."""
     x, y, theta = pose
-    cos, sin = math.cos(theta), math.sin(theta)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     placed: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
     return placed
 
 
 def save_picture(image: RgbImage, path: str | Path) -> None:
-    """Write a picture as PNG; ConfigError for another suffix, or if it can't be written."""
+    """Write a picture as PNG. Raises ConfigError for another suffix, or if it can't be written."""
     path = Path(path)
     check_picture_name(path)
     reading.write_atomically(path, encode_png(image, reading.describe_origin()))

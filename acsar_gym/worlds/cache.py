@@ -21,7 +21,7 @@ from acsar_gym.worlds import generators, moving, registry
 from acsar_gym.worlds.world import World
 
 MAX_CACHE_BYTES = 200 * 2**20
-"""Limit of all worlds together; those that were made first are deleted first."""
+"""Limit of all worlds together. Those that were made first are deleted first."""
 
 
 def cached_world(kind: str, number: int, difficulty: generators.Level, radius: float) -> World:

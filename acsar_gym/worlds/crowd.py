@@ -28,11 +28,11 @@ from acsar_gym.hashing import hash_sample
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.worlds.geometry import (
     Surroundings,
-    circle_at,
     footprint_gap,
+    length_of,
     make_surroundings,
+    offset_from,
     outer_radius,
-    segment_at,
     share_along,
     turn_back,
 )
@@ -46,15 +46,16 @@ from acsar_gym.worlds.movers import (
     make_motions,
     may_jump,
 )
-from acsar_gym.worlds.world import World
+from acsar_gym.worlds.world import RADIUS as CIRCLE_RADIUS
+from acsar_gym.worlds.world import Pose, World
 
 Floats = NDArray[np.float64]
 REACTION_TIME = 0.1  # interval between two decisions of a person who reacts [s]
 RELAXATION_TIMES = (0.4, 0.6)
-"""In about this time a person's velocity becomes the wanted one, drawn for each [s]; published:
+"""In about this time a person's velocity becomes the wanted one, drawn for each [s]. Published:
 0.5."""
 STRENGTHS = (1.5, 2.7)
-"""Strength of the push of others, drawn for each [m^2/s^2]; published: 2.1."""
+"""Strength of the push of others, drawn for each [m^2/s^2]. Published: 2.1."""
 PUSH_RANGE = 0.3  # range of that push [m]
 STRIDE_TIME = 1.0  # the push's ellipse reaches along the other's relative way of this time [s]
 SIDESTEP = 0.2
@@ -83,43 +84,24 @@ STANDING_SPEED = 0.05
 """A robot that comes nearer to a person by no more than this hasn't run into it [m/s]."""
 FARTHEST_PERSON = 100.0  # distances to the nearest mover are at most this [m]
 FARTHEST_COLLISION = 10.0  # times to collision are at most this [s]
-TRAITS, TRAIT_NUMBERS = 1000, 2
-"""First sample of people's traits, and how many traits each has."""
-NO_HIT, ROBOT_HIT, PERSON_HIT = 0.0, 1.0, 2.0
+TRAITS = 1000  # first sample of people's traits
+TRAIT_NUMBERS = 2  # traits of each person
+NO_HIT = 0.0
+ROBOT_HIT = 1.0
+PERSON_HIT = 2.0
 """What `advance_crowd` reports of contacts: none, the robot ran into a mover, or a mover into
 it."""
 
-Pose = tuple[float, float, float]  # x [m], y [m], theta [rad]
+Point = tuple[float, float]
 Twist = tuple[float, float]  # forward speed [m/s], yaw rate [rad/s]
 
 
-class StateRow(NamedTuple):
-    """The columns of the state of a mover."""
-
-    x: float
-    """Place [m]."""
-    y: float
-    """Place [m]."""
-    vx: float
-    """Velocity [m/s]."""
-    vy: float
-    """Velocity [m/s]."""
-    clock: float
-    """The time of its motion [s]: at the start of the episode, or now for a person who reacts."""
-    ax: float
-    """Acceleration of a person who reacts [m/s^2]."""
-    ay: float
-    """Acceleration of a person who reacts [m/s^2]."""
-    pace: float
-    """How fast the motion's time passes for a person who reacts."""
-    near: float
-    """Whether the robot is within its personal space."""
-    look: float
-    """The next tick in which that can change."""
-
-
-X, Y, VX, VY, CLOCK, AX, AY, PACE, NEAR, LOOK = range(len(StateRow._fields))
-STATE_NUMBERS = len(StateRow._fields)
+X, Y, VX, VY, CLOCK, AX, AY, PACE, NEAR, LOOK = range(10)
+"""Columns of the state of a mover: place [m] and velocity [m/s], then CLOCK, the time of its motion
+[s]: at the start of the episode, or now for a person who reacts. AX and AY are the acceleration of
+a person who reacts [m/s^2], PACE is how fast its motion's time passes, NEAR whether the robot is
+within its personal space, LOOK the next tick in which that can change."""
+STATE_NUMBERS = 10
 SEEN_NUMBERS = 5
 """Columns of what is seen of a mover: place [m], velocity [m/s], radius [m]."""
 
@@ -133,16 +115,6 @@ class RobotMotion(NamedTuple):
     sin: float
     forward: float
     rate: float
-
-
-class Disc(NamedTuple):
-    """A disc that pushes people away [m, m/s]."""
-
-    x: float
-    y: float
-    vx: float
-    vy: float
-    radius: float
 
 
 class Hall(NamedTuple):
@@ -169,32 +141,30 @@ class Hall(NamedTuple):
 @subroutine
 def begin_crowd(hall: Hall, states: Floats) -> None:
     """Put all movers where they are when an episode starts."""
+    states[:] = 0.0
     for m in range(len(hall.movers)):
-        if hall.movers[m, RADIUS] < 0.0:
-            break
-        states[m, :] = 0.0
-        states[m, CLOCK] = draw_offset(hall.movers, m, hall.key)
-        place_mover(hall, states, m, time=0.0)
+        mover = hall.movers[m]
+        if mover[RADIUS] > 0.0:
+            states[m, CLOCK] = draw_offset(mover, m, hall.key)
+            place_mover(hall, mover, states[m], time=0.0)
 
 
 @jit
-def place_mover(hall: Hall, states: Floats, m: int, time: float) -> None:
+def place_mover(hall: Hall, mover: Floats, state: Floats, time: float) -> None:
     """Put a mover where its motion is at a time since the start of the episode."""
-    x, y, vx, vy = locate_mover(hall.movers, m, hall.pieces, time + states[m, CLOCK])
-    states[m, X] = x
-    states[m, Y] = y
-    states[m, VX] = vx
-    states[m, VY] = vy
+    x, y, vx, vy = locate_mover(mover, hall.pieces, time + state[CLOCK])
+    state[X] = x
+    state[Y] = y
+    state[VX] = vx
+    state[VY] = vy
 
 
 @subroutine
 def place_crowd(hall: Hall, states: Floats, time: float) -> None:
     """Put all movers that don't react where they are at a time since the start of the episode."""
-    for m in range(len(hall.movers)):
-        if hall.movers[m, RADIUS] < 0.0:
-            break
-        if hall.movers[m, REACTS] == 0.0:
-            place_mover(hall, states, m, time=time)
+    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
+        if mover[RADIUS] > 0.0 and mover[REACTS] == 0.0:
+            place_mover(hall, mover, state, time=time)
 
 
 @subroutine
@@ -222,51 +192,46 @@ def advance_crowd(
     hit = NO_HIT
     entered = 0.0
     next_look = tick + 1.0 if hall.is_reacting else np.inf
-    outer = outer_radius(hall.around, hall.kind)
-    for m in range(len(hall.movers)):
-        if hall.movers[m, RADIUS] < 0.0:
+    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
+        if mover[RADIUS] < 0.0:
             break
-        if tick >= states[m, LOOK]:
-            if hall.movers[m, REACTS] == 0.0:
-                place_mover(hall, states, m, time=tick * hall.period)
-            was_near = states[m, NEAR]
-            free, contact = look_at_mover(hall, states, m, robot, outer)
-            entered += 1.0 if states[m, NEAR] > was_near else 0.0
+        if tick >= state[LOOK]:
+            if mover[REACTS] == 0.0:
+                place_mover(hall, mover, state, time=tick * hall.period)
+            was_near = state[NEAR]
+            free, contact = look_at_mover(hall, mover, state, robot)
+            entered += 1.0 if state[NEAR] > was_near else 0.0
             hit = contact if hit == NO_HIT else hit
 
             # Neither a contact nor an intrusion can change until both have come this far.
-            fastest = (top_speed + SPEED_SHARE * hall.movers[m, SPEED]) * hall.period
-            now = tick * hall.period + states[m, CLOCK]
-            jumps = may_jump(hall.movers, m, now, LONGEST_LOOK)
+            fastest = (top_speed + SPEED_SHARE * mover[SPEED]) * hall.period
+            jumps = may_jump(mover, tick * hall.period + state[CLOCK], LONGEST_LOOK)
             ticks = 1.0 if jumps else min(np.floor(free / fastest), LONGEST_LOOK / hall.period)
-            states[m, LOOK] = tick + max(ticks, 1.0)
-        next_look = min(next_look, states[m, LOOK])
+            state[LOOK] = tick + max(ticks, 1.0)
+        next_look = min(next_look, state[LOOK])
     return hit, entered, next_look
 
 
 @jit
-def look_at_mover(
-    hall: Hall, states: Floats, m: int, robot: RobotMotion, outer: float
-) -> tuple[float, float]:
+def look_at_mover(hall: Hall, mover: Floats, state: Floats, robot: RobotMotion) -> Point:
     """Set whether the robot is in a mover's personal space.
 
     Returns:
         By how much the two hulls can change their distance until that, or a contact, starts or ends
         [m], and whether they touch, such as ROBOT_HIT.
     """
-    radius = hall.movers[m, RADIUS]
-    dx = states[m, X] - robot.x
-    dy = states[m, Y] - robot.y
-    near = outer + radius + PERSONAL_SPACE
+    dx = state[X] - robot.x
+    dy = state[Y] - robot.y
+    near = outer_radius(hall.around, hall.kind) + mover[RADIUS] + PERSONAL_SPACE
     square = dx * dx + dy * dy
     if square > near * near:
-        states[m, NEAR] = 0.0
+        state[NEAR] = 0.0
         return math.sqrt(square) - near, NO_HIT
 
     ahead, aside = turn_back(dx, dy, robot.cos, robot.sin)
     gap, at_x, at_y = footprint_gap(ahead, aside, hall.around, hall.kind)
-    gap -= radius
-    states[m, NEAR] = 1.0 if gap < PERSONAL_SPACE else 0.0
+    gap -= mover[RADIUS]
+    state[NEAR] = 1.0 if gap < PERSONAL_SPACE else 0.0
     if gap > 0.0:
         return min(gap, abs(gap - PERSONAL_SPACE)), NO_HIT
     return 0.0, ROBOT_HIT if comes_nearer(ahead, aside, at_x, at_y, robot=robot) else PERSON_HIT
@@ -275,17 +240,15 @@ def look_at_mover(
 @jit
 def comes_nearer(ahead: float, aside: float, at_x: float, at_y: float, robot: RobotMotion) -> bool:
     """Whether the place (at_x, at_y) of a robot's hull moves towards a mover, in the base frame."""
-    forward = robot.forward - robot.rate * at_y
-    sideways = robot.rate * at_x
     dx = ahead - at_x
     dy = aside - at_y
-    distance = math.sqrt(dx * dx + dy * dy)
+    distance = length_of(dx, dy)
     if distance < 1e-9:  # the mover's middle is within the hull: seen from the robot's middle
         dx = ahead
         dy = aside
-        distance = math.sqrt(dx * dx + dy * dy) + 1e-12
-    nearer: bool = forward * dx + sideways * dy > STANDING_SPEED * distance
-    return nearer
+        distance = length_of(dx, dy) + 1e-12
+    approach = (robot.forward - robot.rate * at_y) * dx + robot.rate * at_x * dy
+    return approach > STANDING_SPEED * distance
 
 
 # People who react
@@ -297,20 +260,22 @@ def walk_crowd(hall: Hall, states: Floats, tick: int, robot: RobotMotion) -> Non
     interval = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
     if (tick - 1) % interval == 0:
         place_crowd(hall, states, tick * hall.period)
-        visible = RobotMotion(
-            x=round_seen(robot.x),
-            y=round_seen(robot.y),
-            cos=round_seen(robot.cos),
-            sin=round_seen(robot.sin),
-            forward=round_seen(robot.forward),
-            rate=round_seen(robot.rate),
-        )
-        for m in range(len(hall.movers)):
+        visible = see_robot(robot)
+        for m in range(len(states)):
             if hall.movers[m, REACTS] > 0.0:
                 decide_step(hall, states, m, visible)
-    for m in range(len(hall.movers)):
-        if hall.movers[m, REACTS] > 0.0:
-            walk_on(hall, states, m)
+
+    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
+        if mover[REACTS] > 0.0:
+            walk_on(mover, state, hall.period)
+
+
+@jit
+def see_robot(robot: RobotMotion) -> Floats:
+    """Place and velocity of the robot as people see it, in columns as of a state."""
+    forward = round_seen(robot.forward)
+    vx = forward * round_seen(robot.cos)
+    return np.array([round_seen(robot.x), round_seen(robot.y), vx, forward * round_seen(robot.sin)])
 
 
 @jit
@@ -328,180 +293,144 @@ def draw_trait(key: float, mover: int, number: int, limits: tuple[float, float])
 
 
 @jit
-def limit_length(x: float, y: float, longest: float) -> tuple[float, float]:
+def limit_length(x: float, y: float, longest: float) -> Point:
     """Shorten a vector that is longer than a limit."""
-    length = math.sqrt(x * x + y * y)
+    length = length_of(x, y)
     share = longest / length if length > longest else 1.0
     return share * x, share * y
 
 
 @subroutine
-def decide_step(hall: Hall, states: Floats, m: int, robot: RobotMotion) -> None:
+def decide_step(hall: Hall, states: Floats, m: int, robot: Floats) -> None:
     """Set the acceleration of person m, and the pace of its motion, until the next decision."""
-    x = states[m, X]
-    y = states[m, Y]
+    mover = hall.movers[m]
+    state = states[m]
 
     # The motion waits for a person who is behind.
-    goal_x, goal_y, goal_vx, goal_vy = locate_mover(hall.movers, m, hall.pieces, states[m, CLOCK])
-    off_x = goal_x - x
-    off_y = goal_y - y
+    goal_x, goal_y, goal_vx, goal_vy = locate_mover(mover, hall.pieces, state[CLOCK])
+    off_x = goal_x - state[X]
+    off_y = goal_y - state[Y]
     is_behind = off_x * goal_vx + off_y * goal_vy > 0.0
-    behind = math.sqrt(off_x * off_x + off_y * off_y) if is_behind else 0.0
-    states[m, PACE] = max(1.0 - behind / LEASH, 0.0)
+    behind = length_of(off_x, off_y) if is_behind else 0.0
+    state[PACE] = max(1.0 - behind / LEASH, 0.0)
 
     # The wanted velocity leads to where the motion will be.
-    clock = states[m, CLOCK] + LOOKAHEAD_TIME
-    to_x, to_y, _, _ = locate_mover(hall.movers, m, hall.pieces, clock)
-    fastest = SPEED_SHARE * hall.movers[m, SPEED]
-    want_x, want_y = limit_length((to_x - x) / LOOKAHEAD_TIME, (to_y - y) / LOOKAHEAD_TIME, fastest)
+    to_x, to_y, _, _ = locate_mover(mover, hall.pieces, state[CLOCK] + LOOKAHEAD_TIME)
+    want = limit_length(
+        (to_x - state[X]) / LOOKAHEAD_TIME,
+        (to_y - state[Y]) / LOOKAHEAD_TIME,
+        SPEED_SHARE * mover[SPEED],
+    )
 
     relaxation = draw_trait(hall.key, m, 0, limits=RELAXATION_TIMES)
-    others_x, others_y = push_from_others(hall, states, m, robot, want=(want_x, want_y))
-    walls_x, walls_y = push_from_walls(hall, x, y, hall.movers[m, RADIUS])
-    ax = (want_x - states[m, VX]) / relaxation + others_x + walls_x
-    ay = (want_y - states[m, VY]) / relaxation + others_y + walls_y
-    states[m, AX], states[m, AY] = limit_length(ax, ay, MOST_PUSH)
+    crowd = push_from_others(hall, states, m, robot, want)
+    walls = push_from_walls(hall, state, mover[RADIUS])
+    ax = (want[0] - state[VX]) / relaxation + crowd[0] + walls[0]
+    ay = (want[1] - state[VY]) / relaxation + crowd[1] + walls[1]
+    state[AX], state[AY] = limit_length(ax, ay, MOST_PUSH)
 
 
 @jit
-def push_from_others(
-    hall: Hall, states: Floats, m: int, robot: RobotMotion, want: tuple[float, float]
-) -> tuple[float, float]:
+def push_from_others(hall: Hall, states: Floats, m: int, robot: Floats, want: Point) -> Point:
     """Push on person m from other movers, and from the robot if the person sees it [m/s^2].
 
     `want` is the velocity that the person wants [m/s], and the direction of its look.
     """
-    movers = hall.movers
-    person = disc_at(movers, states, m)
+    mover = hall.movers[m]
     strength = draw_trait(hall.key, m, 1, limits=STRENGTHS)
-    total_x = 0.0
-    total_y = 0.0
-    for n in range(len(movers)):
-        if n != m and movers[n, RADIUS] > 0.0:
-            push_x, push_y = push_from(disc_at(movers, states, n), person, want, strength)
-            total_x += push_x
-            total_y += push_y
-    if movers[m, SEES_ROBOT] > 0.0:
-        disc = Disc(
-            x=robot.x,
-            y=robot.y,
-            vx=robot.forward * robot.cos,
-            vy=robot.forward * robot.sin,
-            radius=outer_radius(hall.around, hall.kind),
-        )
-        push_x, push_y = push_from(disc, person, want, strength)
-        total_x += push_x
-        total_y += push_y
+    push = np.zeros(2)
+    for n in range(len(states)):
+        radius = hall.movers[n, RADIUS]
+        if n != m and radius > 0.0:
+            push_from(states[n], states[m], push, mover[RADIUS] + radius, want, strength=strength)
+    if mover[SEES_ROBOT] > 0.0:
+        radii = mover[RADIUS] + outer_radius(hall.around, hall.kind)
+        push_from(robot, states[m], push, radii, want, strength=strength)
 
     cos = math.cos(SIDESTEP)
     sin = math.sin(SIDESTEP)
-    return cos * total_x - sin * total_y, sin * total_x + cos * total_y
-
-
-@jit
-def disc_at(movers: Floats, states: Floats, m: int) -> Disc:
-    """The disc of a mover."""
-    return Disc(
-        x=states[m, X],
-        y=states[m, Y],
-        vx=states[m, VX],
-        vy=states[m, VY],
-        radius=movers[m, RADIUS],
-    )
+    return cos * push[X] - sin * push[Y], sin * push[X] + cos * push[Y]
 
 
 @subroutine
 def push_from(
-    disc: Disc, person: Disc, want: tuple[float, float], strength: float
-) -> tuple[float, float]:
-    """Push on a person from another disc [m/s^2].
+    other: Floats, person: Floats, push: Floats, radii: float, want: Point, strength: float
+) -> None:
+    """Add the push of another disc on a person [m/s^2]. See `X` for the columns of both.
 
     The potential is strength * exp(-(b - radii) / PUSH_RANGE), b being the semi-minor axis of the
     ellipse, and `radii` those of the two, which the published potential leaves out.
     """
-    dx = person.x - disc.x
-    dy = person.y - disc.y
-    square = dx * dx + dy * dy
-    if square > FARTHEST_PUSH * FARTHEST_PUSH:
-        return 0.0, 0.0
+    dx = person[X] - other[X]
+    dy = person[Y] - other[Y]
+    straight = length_of(dx, dy)
+    if straight > FARTHEST_PUSH:
+        return
 
-    stride_x = STRIDE_TIME * (disc.vx - person.vx)
-    stride_y = STRIDE_TIME * (disc.vy - person.vy)
+    stride_x = STRIDE_TIME * (other[VX] - person[VX])
+    stride_y = STRIDE_TIME * (other[VY] - person[VY])
     later_x = dx - stride_x
     later_y = dy - stride_y
-    distance = math.sqrt(square) + 1e-9
-    later = math.sqrt(later_x * later_x + later_y * later_y) + 1e-9
+    distance = straight + 1e-9
+    later = length_of(later_x, later_y) + 1e-9
     total = distance + later
     stride = stride_x * stride_x + stride_y * stride_y
     axis = 0.5 * math.sqrt(max(total * total - stride, 1e-6))
-    radii = person.radius + disc.radius
-    push = strength / PUSH_RANGE * math.exp(min((radii - axis) / PUSH_RANGE, 2.0))
-    push *= total / (4.0 * axis)
+    force = strength / PUSH_RANGE * math.exp(min((radii - axis) / PUSH_RANGE, 2.0))
+    force *= total / (4.0 * axis)
 
-    speed = math.sqrt(want[0] * want[0] + want[1] * want[1])
-    is_ahead = -(want[0] * dx + want[1] * dy) >= SIGHT_COSINE * speed * math.sqrt(square)
+    speed = length_of(want[X], want[Y])
+    is_ahead = -(want[X] * dx + want[Y] * dy) >= SIGHT_COSINE * speed * straight
     share = 1.0 if is_ahead else BEHIND_SHARE
-    push_x = share * (push * (dx / distance + later_x / later))
-    push_y = share * (push * (dy / distance + later_y / later))
-    return push_x, push_y
+    push[X] += share * (force * (dx / distance + later_x / later))
+    push[Y] += share * (force * (dy / distance + later_y / later))
 
 
 @jit
-def push_from_walls(hall: Hall, x: float, y: float, radius: float) -> tuple[float, float]:
-    """Push on a person at (x, y) from standing obstacles [m/s^2]."""
-    total_x = 0.0
-    total_y = 0.0
-    circles = hall.around.circles[hall.which]
-    for n in range(len(circles)):
-        circle = circle_at(circles, n)
-        push_x, push_y = push_from_wall(x - circle.x, y - circle.y, radius, circle.radius)
-        total_x += push_x
-        total_y += push_y
-    segments = hall.around.segments[hall.which]
-    for n in range(len(segments)):
-        wall = segment_at(segments, n)
-        share = share_along(x, y, wall)
-        dx = x - wall.ax - share * (wall.bx - wall.ax)
-        dy = y - wall.ay - share * (wall.by - wall.ay)
-        push_x, push_y = push_from_wall(dx, dy, radius, 0.0)
-        total_x += push_x
-        total_y += push_y
-    return total_x, total_y
+def push_from_walls(hall: Hall, person: Floats, radius: float) -> Floats:
+    """Push on a person from standing obstacles [m/s^2]."""
+    x = person[X]
+    y = person[Y]
+    push = np.zeros(2)
+    for circle in hall.around.circles[hall.which]:
+        push_from_wall(push, x - circle[X], y - circle[Y], radius + circle[CIRCLE_RADIUS])
+    for wall in hall.around.segments[hall.which]:
+        dx, dy = offset_from(x, y, wall, share_along(x, y, wall))
+        push_from_wall(push, dx, dy, radius)
+    return push
 
 
 @jit
-def push_from_wall(dx: float, dy: float, radius: float, extent: float) -> tuple[float, float]:
-    """Push on a person from the place of a wall, or from the centre of a circle of that extent."""
-    reach = radius + FARTHEST_WALL + extent
+def push_from_wall(push: Floats, dx: float, dy: float, reach: float) -> None:
+    """Add the push of a wall, which is in touch at a distance of `reach`, from its place."""
     square = dx * dx + dy * dy
-    if square >= reach * reach:
-        return 0.0, 0.0
-    distance = math.sqrt(square) + 1e-9
-    push = WALL_PUSH * math.exp((radius + extent - distance) / WALL_RANGE)
-    return push * dx / distance, push * dy / distance
+    if square < (reach + FARTHEST_WALL) ** 2:
+        distance = math.sqrt(square) + 1e-9
+        force = WALL_PUSH * math.exp((reach - distance) / WALL_RANGE)
+        push[X] += force * dx / distance
+        push[Y] += force * dy / distance
 
 
 @subroutine
-def walk_on(hall: Hall, states: Floats, m: int) -> None:
+def walk_on(mover: Floats, state: Floats, period: float) -> None:
     """Let a person who reacts walk for a tick as decided."""
-    period = hall.period
     vx, vy = limit_length(
-        states[m, VX] + states[m, AX] * period,
-        states[m, VY] + states[m, AY] * period,
-        SPEED_SHARE * hall.movers[m, SPEED],
+        state[VX] + state[AX] * period,
+        state[VY] + state[AY] * period,
+        SPEED_SHARE * mover[SPEED],
     )
-    states[m, VX] = vx
-    states[m, VY] = vy
-    states[m, X] += vx * period
-    states[m, Y] += vy * period
-    states[m, CLOCK] += states[m, PACE] * period
+    state[VX] = vx
+    state[VY] = vy
+    state[X] += vx * period
+    state[Y] += vy * period
+    state[CLOCK] += state[PACE] * period
 
 
 # What is measured
 
 
 @subroutine
-def survey_crowd(hall: Hall, states: Floats, robot: RobotMotion) -> tuple[float, float]:
+def survey_crowd(hall: Hall, states: Floats, robot: RobotMotion) -> Point:
     """Measure how near the robot is to movers.
 
     Returns:
@@ -512,26 +441,27 @@ def survey_crowd(hall: Hall, states: Floats, robot: RobotMotion) -> tuple[float,
     nearest = FARTHEST_PERSON
     soonest = FARTHEST_COLLISION
     outer = outer_radius(hall.around, hall.kind)
-    for m in range(len(hall.movers)):
-        radius = hall.movers[m, RADIUS]
+    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
+        radius = mover[RADIUS]
         if radius < 0.0:
             break
-        dx = states[m, X] - robot.x
-        dy = states[m, Y] - robot.y
+
+        dx = state[X] - robot.x
+        dy = state[Y] - robot.y
         reach = nearest + outer + radius
         if dx * dx + dy * dy < reach * reach:
             ahead, aside = turn_back(dx, dy, robot.cos, robot.sin)
             gap, _, _ = footprint_gap(ahead, aside, hall.around, hall.kind)
             nearest = min(nearest, max(gap - radius, 0.0))
-        vx = states[m, VX] - robot.forward * robot.cos
-        vy = states[m, VY] - robot.forward * robot.sin
+        vx = state[VX] - robot.forward * robot.cos
+        vy = state[VY] - robot.forward * robot.sin
         soonest = min(soonest, time_to_touch(dx, dy, vx, vy, radii=outer + radius))
     return nearest, soonest
 
 
 @jit
 def time_to_touch(dx: float, dy: float, vx: float, vy: float, radii: float) -> float:
-    """Time until two discs touch that keep their velocities [s]; infinity if they never do.
+    """Time until two discs touch that keep their velocities [s], or infinity if they never do.
 
     `dx`, `dy` is the place and `vx`, `vy` the velocity of a disc from the other disc, `radii` the
     sum of their radii [m, m/s].
@@ -549,28 +479,11 @@ def time_to_touch(dx: float, dy: float, vx: float, vy: float, radii: float) -> f
 
 # The crowd of one robot
 
-
-@loop
-def begin_alone(hall: Hall, states: Floats) -> None:
-    """Run `begin_crowd` for one robot."""
-    begin_crowd(hall, states)
+_begin = loop(begin_crowd)
+_advance = loop(advance_crowd)
+_survey = loop(survey_crowd)
 
 
-@loop
-def advance_alone(
-    hall: Hall, states: Floats, tick: int, pose: Pose, twist: Twist
-) -> tuple[float, float, float]:
-    """Run `advance_crowd` for one robot."""
-    return advance_crowd(hall, states, tick, motion_of(pose, twist), np.inf)
-
-
-@loop
-def survey_alone(hall: Hall, states: Floats, pose: Pose, twist: Twist) -> tuple[float, float]:
-    """Run `survey_crowd` for one robot."""
-    return survey_crowd(hall, states, motion_of(pose, twist))
-
-
-@jit
 def motion_of(pose: Pose, twist: Twist) -> RobotMotion:
     """The motion of a robot."""
     x, y, theta = pose
@@ -589,7 +502,7 @@ class Crowd:
         motions: Motions of the movers of this world.
         hall: What surrounds them.
         radii: (movers,): their radii [m].
-        states: (movers, STATE_NUMBERS): their states, see `StateRow`.
+        states: (movers, STATE_NUMBERS): their states, see `X`.
         hit: The first contact, such as ROBOT_HIT.
         intrusions: How often the robot has entered a mover's personal space.
     """
@@ -606,12 +519,13 @@ class Crowd:
             around=make_surroundings(world, None, config),
             kind=0,
         )
+
         self.radii = self.hall.movers[:, RADIUS].copy()
         self.states = np.zeros((len(self.radii), STATE_NUMBERS))
         self.hit = NO_HIT
         self.intrusions = 0.0
         self._tick = 0
-        begin_alone(self.hall, self.states)
+        _begin(self.hall, self.states)
 
     @property
     def now(self) -> float:
@@ -626,18 +540,19 @@ class Crowd:
             twist: Twist of the robot at its end.
         """
         self._tick += 1
-        hit, entered, _ = advance_alone(self.hall, self.states, self._tick, pose, twist)
+        robot = motion_of(pose, twist)
+        hit, entered, _ = _advance(self.hall, self.states, self._tick, robot, np.inf)
         self.hit = self.hit or hit
         self.intrusions += entered
 
-    def survey(self, pose: Pose, twist: Twist) -> tuple[float, float]:
+    def survey(self, pose: Pose, twist: Twist) -> Point:
         """Return the distance of the nearest mover [m] and the time to collision [s].
 
         Args:
             pose: Pose of the robot, in the frame of the world.
             twist: Twist of the robot.
         """
-        return survey_alone(self.hall, self.states, pose, twist)
+        return _survey(self.hall, self.states, motion_of(pose, twist))
 
     def copy_states(self) -> Floats:
         """Copy what is seen of the movers now, (movers, SEEN_NUMBERS), in the world's frame."""

@@ -5,7 +5,7 @@ The project's own format has the fields of `World` [m, rad]:
     name: three pillars
     circles: [[2.0, 0.3, 0.1], [3.0, -0.4, 0.1]]    # x, y, radius
     segments: [[0.0, 1.0, 4.0, 1.0]]                # x1, y1, x2, y2
-    start: {x: 0.0, y: 0.0, theta: 0.0}             # and radius; without theta any heading
+    start: {x: 0.0, y: 0.0, theta: 0.0}             # and radius. Without theta any heading
     goal: {x: 4.0, y: 0.0}                          # and radius
     path: [[0.0, 0.0], [4.0, 0.0]]                  # optional
     movers: [{points: [[2.0, -2.0], [2.0, 2.0]], speed: 1.0}]    # optional, see `mover_files`
@@ -46,7 +46,7 @@ from acsar_gym.worlds.world import Floats, Region, World
 
 MAX_IMPORT_BYTES = sdf.MAX_SDF_BYTES  # most bytes of an SDF file or a picture
 MAX_TEXT_BYTES = 5_000_000
-"""Most bytes of a JSON or YAML; 20,000 segments and a path of 20,000 points are 3 MB."""
+"""Most bytes of a JSON or YAML. 20,000 segments and a path of 20,000 points are 3 MB."""
 BARN_CELL = 0.15  # side of a cell of a published path [m]
 BARN_CORNER = (-4.575, 5.075)  # position of cell (0, 0) of a published path [m]
 PLACE_FORM = re.compile(r"\s*[,\s]\s*")  # between the numbers of a place on the command line
@@ -95,7 +95,7 @@ class Placement(Section):
 
     section = "worlds"
     start: Region | None = None
-    """x, y [m] and theta [rad]; without theta any heading. None: the file's."""
+    """x, y [m] and theta [rad]. Without theta any heading. None: the file's."""
     goal: Region | None = None
     """x, y [m]. None: the file's."""
     height: Annotated[float, Field(gt=0.0, le=100.0)] = sdf.LIDAR_HEIGHT
@@ -172,7 +172,7 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
 def _choose_ends(
     placement: Placement, start: Region | None, goal: Region | None
 ) -> tuple[Region, Region]:
-    """The start and the goal of a placement, or else of a file; WorldError if there is none."""
+    """The start and the goal of a placement, or else of a file, or a WorldError."""
     start = placement.start or start
     goal = placement.goal or goal
     if start and goal:

@@ -22,7 +22,7 @@ from acsar_gym.worlds import moving, registry
 from acsar_gym.worlds.grid import Grid, search_cells
 from acsar_gym.worlds.registry import GeneratorError, Maker
 from acsar_gym.worlds.search import PATH_SPACING, check_path, shortest_path, world_along
-from acsar_gym.worlds.world import Floats, Region, World, make_box, make_rectangle, make_wall
+from acsar_gym.worlds.world import Floats, Region, Rng, World, make_box, make_rectangle, make_wall
 
 PATH_MARGIN = 0.05
 """Distance that every path keeps from obstacles on top of the footprint's radius [m]."""
@@ -90,7 +90,9 @@ def generate_world(
     hard = low if isinstance(difficulty, SupportsFloat) else low + (high - low) * rng.uniform()
     ease = EASING_FACTOR if high > low else 1.0
     problem = ""
-    redraws = moving.count_redraws(kind, number, radius) if (low, high) == (0.0, 1.0) else 0
+    redraws = 0
+    if (low, high) == (0.0, 1.0):
+        redraws = moving.count_redraws(kind, radius).get(str(number), 0)
     for attempt in range(MAX_ATTEMPTS):
         try:
             world = _call_maker(kind, rng, max(hard * ease**attempt, low), radius)
@@ -109,8 +111,8 @@ def generate_world(
     )
 
 
-def _call_maker(kind: str, rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Call a generator once; GeneratorError if calling it again is of no use."""
+def _call_maker(kind: str, rng: Rng, difficulty: float, radius: float) -> World:
+    """Call a generator once. Raises GeneratorError if calling it again is of no use."""
     if kind in MAKERS:
         return MAKERS[kind](rng, difficulty, radius)
 
@@ -127,7 +129,7 @@ def _call_maker(kind: str, rng: np.random.Generator, difficulty: float, radius: 
 
 
 def _check_solvable(world: World, radius: float, *, follows: bool) -> World:
-    """The world with a path; WorldError if a footprint can't cross it, or follow its own path."""
+    """The world with a path. Raises WorldError if a footprint can't cross it or follow it."""
     if world.path is None:
         world = replace(world, path=shortest_path(world, radius + PATH_MARGIN, cuts=0))
     elif follows:
@@ -141,12 +143,12 @@ def draw_difficulty(kind: str, number: int, difficulty: Level = None) -> float:
     return low + (high - low) * _make_rng(kind, number).uniform()
 
 
-def _make_rng(kind: str, number: int) -> np.random.Generator:
+def _make_rng(kind: str, number: int) -> Rng:
     return np.random.default_rng([zlib.crc32(kind.encode()), int(number)])
 
 
 def difficulty_limits(difficulty: Level) -> tuple[float, float]:
-    """Least and largest difficulty; WorldError if they aren't from 0 to 1."""
+    """Least and largest difficulty. Raises WorldError if they aren't from 0 to 1."""
     limits: Any = (0.0, 1.0) if difficulty is None else difficulty
     try:
         low, high = map(float, (limits, limits) if isinstance(limits, SupportsFloat) else limits)
@@ -160,14 +162,14 @@ def difficulty_limits(difficulty: Level) -> tuple[float, float]:
     return low, high
 
 
-def make_open_floor(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Make an empty floor; goals are 1 to 2 m away, or up to 5 m at difficulty 1."""
+def make_open_floor(rng: Rng, difficulty: float, radius: float) -> World:
+    """Make an empty floor. Goals are 1 to 2 m away, or up to 5 m at difficulty 1."""
     distance = rng.uniform(1.0, 2.0 + 3.0 * difficulty)
     bearing = rng.uniform(-math.pi, math.pi)
     return World(goal=Region(distance * math.cos(bearing), distance * math.sin(bearing)))
 
 
-def make_clutter(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+def make_clutter(rng: Rng, difficulty: float, radius: float) -> World:
     """Make a walled floor of 8 x 8 m with 10 to 45 cylinders and boxes.
 
     Start, in any heading, and goal are at least half the floor's side apart.
@@ -197,7 +199,7 @@ def make_clutter(rng: np.random.Generator, difficulty: float, radius: float) -> 
     )
 
 
-def make_smooth_path(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+def make_smooth_path(rng: Rng, difficulty: float, radius: float) -> World:
     """Make a path of 4 to 8 m from the origin, with a curvature of up to 0.5 to 2 1/m."""
     waves = 3
     s = np.arange(0.0, rng.uniform(4.0, 8.0), PATH_SPACING)
@@ -209,7 +211,7 @@ def make_smooth_path(rng: np.random.Generator, difficulty: float, radius: float)
     return _follow_steps(headings, np.full(len(headings), PATH_SPACING))
 
 
-def make_waypoint_path(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+def make_waypoint_path(rng: Rng, difficulty: float, radius: float) -> World:
     """Make a path of 3 to 6 lines of 0.8 to 2 m, with turns of up to 45 to 120 degrees."""
     pieces = int(rng.integers(3, 7))
     sharpest = math.radians(45.0 + 75.0 * difficulty)
@@ -224,8 +226,8 @@ def _follow_steps(headings: Floats, lengths: Floats) -> World:
     return world_along(np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]))
 
 
-def make_rooms(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-    """Make three or four rooms on each side of a corridor; start and goal are in different rooms.
+def make_rooms(rng: Rng, difficulty: float, radius: float) -> World:
+    """Make three or four rooms on each side of a corridor. Start and goal are in different rooms.
 
     With difficulty doors narrow from 1.3 m to the footprint's width and 20 cm, and furniture
     increases from none to four pieces a room.
@@ -256,7 +258,7 @@ def make_rooms(rng: np.random.Generator, difficulty: float, radius: float) -> Wo
 
 
 def _make_room_walls(
-    rng: np.random.Generator, edges: list[float], side: float, half: float, door: float
+    rng: Rng, edges: list[float], side: float, half: float, door: float
 ) -> list[Floats]:
     """The wall to the corridor with a door to each room, and walls between rooms, some with one."""
     narrowest = min(next_x - x for x, next_x in pairwise(edges))
@@ -275,7 +277,7 @@ def _make_room_walls(
 
 
 def _furnish_room(
-    rng: np.random.Generator,
+    rng: Rng,
     room: Floats,
     difficulty: float,
     circles: list[list[float]],
@@ -293,9 +295,7 @@ def _furnish_room(
             circles.append([x, y, length / 3.0])
 
 
-def _draw_place(
-    rng: np.random.Generator, room: Floats, radius: float, theta: float | None = None
-) -> Region:
+def _draw_place(rng: Rng, room: Floats, radius: float, theta: float | None = None) -> Region:
     """A random point of a room, away from its walls."""
     low = room[0] + radius + 0.1
     high = room[1] - radius - 0.1
@@ -305,7 +305,7 @@ def _draw_place(
     return Region(x, y, theta=theta)
 
 
-def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+def make_barn(rng: Rng, difficulty: float, radius: float) -> World:
     """Make a world like those of BARN (Perille et al. 2020), by its cellular automaton.
 
     A field of 30 x 30 cells of 0.15 m, with a cylinder in each filled cell, behind a walled
@@ -342,7 +342,7 @@ def make_barn(rng: np.random.Generator, difficulty: float, radius: float) -> Wor
     raise GeneratorError("no BARN world can be crossed: use another difficulty")
 
 
-def _cross_field(rng: np.random.Generator, cells: Mask, room: Mask) -> World:
+def _cross_field(rng: Rng, cells: Mask, room: Mask) -> World:
     """The world of a field, with a path through the cells in which the robot's centre may be."""
     first = int(rng.choice(np.flatnonzero(room[:, 0])))
     last = int(rng.choice(np.flatnonzero(room[:, -1])))
@@ -354,10 +354,8 @@ def _cross_field(rng: np.random.Generator, cells: Mask, room: Mask) -> World:
     return World(place_cylinders(cells), start=BARN_START, goal=BARN_GOAL, path=path)
 
 
-def draw_fields(
-    rng: np.random.Generator, fill: float, passes: int, count: int = FIELDS_AT_ONCE
-) -> Mask:
-    """(count, 30, 30): random cells, smoothed; the first and the last row are walls."""
+def draw_fields(rng: Rng, fill: float, passes: int, count: int = FIELDS_AT_ONCE) -> Mask:
+    """(count, 30, 30): random cells, smoothed. The first and the last row are walls."""
     cells = rng.random((count, BARN_CELLS, BARN_CELLS)) < fill
     cells[:, [0, -1]] = True
     for _ in range(passes):
@@ -405,14 +403,14 @@ def place_cylinders(cells: Mask) -> Floats:
     return np.column_stack([centres, np.full(len(centres), CYLINDER_RADIUS)])
 
 
-MAKERS: dict[str, Maker] = {
-    "open": make_open_floor,
-    "clutter": make_clutter,
-    "rooms": make_rooms,
-    "barn": make_barn,
-    "smooth_path": make_smooth_path,
-    "waypoint_path": make_waypoint_path,
-    "crowd": moving.make_crowd,
-    "crowd_reacting": moving.make_reacting_crowd,
-    "dynabarn": moving.make_dynabarn,
-}
+MAKERS: dict[str, Maker] = dict(
+    zip(
+        registry.BUILT_IN_KINDS,
+        (
+            *(make_open_floor, make_clutter, make_rooms, make_barn),
+            *(make_smooth_path, make_waypoint_path),
+            *(moving.make_crowd, moving.make_reacting_crowd, moving.make_dynabarn),
+        ),
+        strict=True,
+    )
+)

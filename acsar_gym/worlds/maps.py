@@ -1,7 +1,7 @@
 """ROS maps, as map_server writes them: a YAML of settings and a picture of what is occupied.
 
 The outlines of all occupied pixels become segments along the pixels' edges. Unknown pixels count as
-free. Lengths in m, in the frame of the map; `origin` is the lower left corner of the picture.
+free. Lengths in m, in the frame of the map. `origin` is the lower left corner of the picture.
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ from acsar_gym.worlds.world import MAX_OBSTACLES, Floats
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
-PILLOW_FORMATS = ("PPM", "PNG", "BMP", "JPEG")  # formats that Pillow may try; PGM is a PPM for it
+PILLOW_FORMATS = ("PPM", "PNG", "BMP", "JPEG")  # formats that Pillow may try. PGM is a PPM for it
 MAX_MAP_PIXELS = 4096 * 4096
 TOO_LARGE = f"has more than {MAX_MAP_PIXELS:,} pixels: crop or shrink it"
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class MapSettings(Section):
-    """The YAML of a map; http://wiki.ros.org/map_server describes it."""
+    """The YAML of a map. See http://wiki.ros.org/map_server."""
 
     model_config = ConfigDict(extra="ignore")
 
     image: str
-    """File of the picture; a relative path starts at the YAML's folder."""
+    """File of the picture. A relative path starts at the YAML's folder."""
     resolution: Length
     """Size of a pixel [m]."""
     origin: tuple[float, float, float]
     """x, y [m] and yaw [rad] of the lower left corner of the lower left pixel."""
     negate: bool = False
-    """Whether white is occupied, instead of black; as in map_server, not in mode raw."""
+    """Whether white is occupied, instead of black. Mode raw ignores it, as map_server does."""
     occupied_thresh: Share = 0.65
     """A pixel is occupied if its occupancy is above this."""
     free_thresh: Share = 0.196
-    """Between this and `occupied_thresh` a pixel is unknown or, in mode scale, partly occupied;
-    neither is an obstacle here."""
+    """Between this and `occupied_thresh` a pixel is unknown or, in mode scale, partly occupied.
+    Neither is an obstacle here."""
     mode: Literal["trinary", "scale", "raw"] = "trinary"
-    """In mode raw, pixels are percentages; those above 100 are unknown."""
+    """In mode raw, pixels are percentages. Those above 100 are unknown."""
 
 
 def read_settings(data: Mapping[str, Any]) -> MapSettings:
-    """Read the settings in a map's YAML; keys that look misspelt are refused."""
+    """Read the settings in a map's YAML. Refuses keys that look misspelt."""
     fields = MapSettings.model_fields
     for key in data:
         similar = difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8)
@@ -100,12 +100,12 @@ def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
 def trace_outlines(mask: Mask) -> Floats:
     """Find the edges between occupied pixels (rows, columns) and others.
 
-    Returns (segments, 4) in pixels from the lower left corner; WorldError for more than 20,000.
+    Returns (segments, 4) in pixels from the lower left corner. More than 20,000 raise WorldError.
     """
     filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
-    level, left, right = _find_runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
+    level, first, last = _find_runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
     upright, low, high = _find_runs(np.diff(filled, axis=1)[1:-1].T != 0)
-    rows = np.column_stack([left, level, right, level])
+    rows = np.column_stack([first, level, last, level])
     columns = np.column_stack([upright, low, upright, high])
     count = len(rows) + len(columns)
     if count > MAX_OBSTACLES:

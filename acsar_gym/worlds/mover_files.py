@@ -69,7 +69,7 @@ class MoverFile(Section):
 
 
 def parse_movers(entries: list[Any]) -> tuple[Mover, ...]:
-    """Make the movers of a file's list; WorldError that names the one that can't be used."""
+    """Make the movers of a file's list. Raises WorldError that names the one that can't be used."""
     movers = []
     for number, entry in enumerate(entries):
         try:

@@ -26,6 +26,8 @@ from acsar_gym.hashing import hash_sample
 from acsar_gym.jit import jit, loop, subroutine
 
 Floats = NDArray[np.float64]
+Point = tuple[float, float]
+Quad = tuple[float, float, float, float]
 PERSON_RADIUS = 0.25  # of a person seen from above at the LiDAR's height [m]
 WALKING_SPEED = 1.34
 """Mean speed at which people like to walk [m/s]: Helbing & Molnar, Physical Review E 51 (1995)."""
@@ -53,7 +55,7 @@ class Repeat(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Mover:
-    """A circle that moves. Immutable; `walk` and `follow_keys` make movers.
+    """A circle that moves. It is immutable. `walk` and `follow_keys` make movers.
 
     Raises:
         WorldError: A field has a wrong shape, or numbers that can't be used.
@@ -76,7 +78,7 @@ class Mover:
     phase: float = 0.0
     """Time in the motion at which an episode starts [s]."""
     spread: float = 0.0
-    """Largest addition to the phase, drawn for each episode [s]; 0: always the same."""
+    """Largest addition to the phase, drawn for each episode [s]."""
     reacts: bool = False
     """Whether this is a person who keeps a distance."""
     sees_robot: bool = True
@@ -93,7 +95,7 @@ class Mover:
             raise WorldError(f"mover {show_value(self.name)}: {problem}")
 
     def _find_problem(self) -> str:
-        """What can't be used, in words; empty if everything can."""
+        """What can't be used, in words, or empty if everything can."""
         if self.pieces.shape[1:] != (PIECE_NUMBERS,) or not np.isfinite(self.pieces).all():
             return f"pieces must be rows of {PIECE_NUMBERS} finite numbers"
         numbers = _to_floats([self.duration, self.radius, self.phase, self.spread])
@@ -118,12 +120,12 @@ class Mover:
 
     @property
     def cycle(self) -> float:
-        """Time after which the motion repeats itself [s]; inf if it stops."""
+        """Time after which the motion repeats itself [s], or infinity if it stops."""
         return (math.inf, 2.0 * self.duration, self.duration)[self.repeat]
 
     @cached_property
     def top_speed(self) -> float:
-        """An upper bound of its speed, but for jumps; exact on straight lines [m/s].
+        """An upper bound of its speed, but for jumps, which is exact on straight lines [m/s].
 
         Between two samples a velocity that is quadratic in time is at most
         |its second derivative| * spacing^2 / 8 from the line between them.
@@ -136,7 +138,7 @@ class Mover:
             return float((speeds.max(axis=1) + bend).max())
 
     @cached_property
-    def bounds(self) -> tuple[float, float, float, float]:
+    def bounds(self) -> Quad:
         """Least x and y, largest x and y of its disc in the whole motion [m]."""
         x0, x1, x2, x3 = self._coefficients
         # A coordinate is least and largest at the ends, or when its rate is 0.
@@ -146,11 +148,11 @@ class Mover:
         ends = np.zeros_like(x0)
         times = np.clip([ends, ends + self._lengths, *turns], 0.0, self._lengths)
         places = x0 + times * (x1 + times * (x2 + times * x3))
-        left, low = (places.min(axis=(0, 1)) - self.radius).tolist()
-        right, high = (places.max(axis=(0, 1)) + self.radius).tolist()
-        return left, low, right, high
+        min_x, min_y = (places.min(axis=(0, 1)) - self.radius).tolist()
+        max_x, max_y = (places.max(axis=(0, 1)) + self.radius).tolist()
+        return min_x, min_y, max_x, max_y
 
-    def position(self, time: float, share: float = 0.0) -> tuple[float, float]:
+    def position(self, time: float, share: float = 0.0) -> Point:
         """Compute where the motion is.
 
         Args:
@@ -162,13 +164,13 @@ class Mover:
         """
         return self._locate(time, share)[:2]
 
-    def velocity(self, time: float, share: float = 0.0) -> tuple[float, float]:
+    def velocity(self, time: float, share: float = 0.0) -> Point:
         """Compute the velocity of the motion [m/s], with the arguments of `position`."""
         return self._locate(time, share)[2:]
 
-    def _locate(self, time: float, share: float) -> tuple[float, float, float, float]:
-        (rows,), (pieces,), _ = make_motions([[self]])
-        return locate_alone(rows, pieces, time, share)
+    def _locate(self, time: float, share: float) -> Quad:
+        ((row,),), (pieces,), _ = make_motions([[self]])
+        return locate_alone(row, pieces, time, share)
 
 
 def walk(
@@ -201,21 +203,22 @@ def walk(
         >>> mover.velocity(3.0), mover.position(6.0)
         ((1.0, 0.0), (2.0, 0.0))
     """
-    ways = np.atleast_2d(_to_floats(points))
-    is_closed = repeat == Repeat.LOOP and len(ways) > 1
-    stops = np.append(ways, ways[:1], axis=0) if is_closed else ways
-    rests = _to_floats(pauses, len(ways))
+    stops = np.atleast_2d(_to_floats(points))
+    count = len(stops)
+    if repeat == Repeat.LOOP and count > 1:
+        stops = np.append(stops, stops[:1], axis=0)
+    rests = _to_floats(pauses, count)
     speeds = _to_floats(speed, max(len(stops) - 1, 0))
-    is_finite = ways.shape[1:] == (2,) and np.isfinite([*ways.ravel(), *speeds, *rests]).all()
+    is_finite = stops.shape[1:] == (2,) and np.isfinite([*stops.ravel(), *speeds, *rests]).all()
     if not is_finite or (speeds <= 0.0).any() or (rests < 0.0).any():
         raise WorldError(
             f"mover {name!r}: needs points (x, y), a speed above 0 for all lines or one for each, "
             "and a pause for all points or one for each, not negative; all of them finite"
         )
 
-    # A pause, a line to the next stop, a pause there, and so on; none at the end of a closed way.
+    # A pause, a line to the next stop, a pause there, and so on. A closed way ends with a line.
     durations = np.zeros(2 * len(stops) - 1)
-    durations[: 2 * len(ways) : 2] = rests
+    durations[: 2 * count : 2] = rests
     durations[1::2] = list(map(math.dist, stops, stops[1:])) / speeds
     if (durations <= LEAST_LINE_TIME).all():
         durations[0] = 1.0
@@ -272,12 +275,7 @@ def follow_keys(
             "for each"
         )
 
-    # The first piece is the time before the first key.
-    pieces = np.zeros((len(key_times), PIECE_NUMBERS))
-    pieces[0, [X0, Y0]] = places[0]
-    moving = pieces[1:]
-    moving[:, BEGIN] = key_times[:-1]
-    moving[:, [X0, Y0]] = places[:-1]
+    origins = places[:-1]
     steps = np.diff(places, axis=0)
     if smooth:
         is_closed = len(places) > 2 and bool((places[0] == places[-1]).all())
@@ -287,19 +285,22 @@ def follow_keys(
         tangents = (1.0 - tension) / 2.0 * (around[2:] - around[:-2])
         leave = tangents[:-1]
         arrive = tangents[1:]
-        moving[:, [X1, Y1]] = leave / lengths
-        moving[:, [X2, Y2]] = (3.0 * steps - 2.0 * leave - arrive) / lengths**2
-        moving[:, [X3, Y3]] = (leave + arrive - 2.0 * steps) / lengths**3
+        bends = (3.0 * steps - 2.0 * leave - arrive) / lengths**2
+        twists = (leave + arrive - 2.0 * steps) / lengths**3
+        coefficients = [origins, leave / lengths, bends, twists]
     else:
-        moving[:, [X1, Y1]] = steps / lengths
+        still = np.zeros_like(steps)
+        coefficients = [origins, steps / lengths, still, still]
 
-    if key_times[0] == 0.0:
-        pieces = moving
+    pieces = np.column_stack([key_times[:-1], np.stack(coefficients, axis=2).reshape(-1, 8)])
+    if key_times[0] > 0.0:  # at rest until then
+        pieces = np.concatenate([np.zeros((1, PIECE_NUMBERS)), pieces])
+        pieces[0, [X0, Y0]] = places[0]
     return Mover(pieces, float(key_times[-1]), repeat=repeat, name=name, **options)
 
 
 def _to_floats(values: Any, count: int | None = None) -> Floats:
-    """A copy as an array, or broadcast to a number of elements; NaN if that is impossible."""
+    """A copy as an array, or broadcast to a number of elements, or NaN if that is impossible."""
     try:
         array = np.array(values, np.float64)
         return array if count is None else np.broadcast_to(array, count)
@@ -322,7 +323,7 @@ class Motions(NamedTuple):
     """The movers of many worlds, for compiled loops."""
 
     movers: Floats
-    """(worlds, movers, MOVER_NUMBERS); unused rows have a radius of -1 and come last."""
+    """(worlds, movers, MOVER_NUMBERS). Unused rows have a radius of -1 and come last."""
     pieces: Floats
     """(worlds, pieces, 9): those of all movers of a world, one after the other."""
     reacting: NDArray[np.bool_]
@@ -335,92 +336,100 @@ CYCLES how often the motion repeats itself in a second (0 if it stops), SPEED th
 MOVER_NUMBERS = 11  # columns of a mover
 
 
+def pad_rows(rows: Sequence[Floats], unused: Sequence[float]) -> Floats:
+    """Stack arrays of different lengths to (arrays, longest, numbers), padded with `unused`."""
+    longest = max(map(len, rows), default=0)
+    padded = np.tile(np.array(unused), (max(len(rows), 1), longest, 1))
+    for number, array in enumerate(rows):
+        padded[number, : len(array)] = array
+    return padded
+
+
 def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
     """Make the arrays of the movers of each of some worlds."""
-    world_count = max(len(crowds), 1)
-    mover_count = max(map(len, crowds), default=0)
-    rows = np.full((world_count, mover_count, MOVER_NUMBERS), -1.0)
-    piece_counts = [sum(len(mover.pieces) for mover in movers) for movers in crowds]
-    pieces = np.zeros((world_count, max(piece_counts, default=0), PIECE_NUMBERS))
-
-    for world, movers in enumerate(crowds):
+    rows = []
+    pieces = []
+    for movers in crowds:
         first = 0
-        for number, mover in enumerate(movers):
+        for mover in movers:
             count = len(mover.pieces)
-            pieces[world, first : first + count] = mover.pieces
-            rows[world, number] = [  # in the order of the columns
-                mover.radius,
-                mover.repeat,
-                first,
-                count,
-                mover.duration,
-                1.0 / mover.cycle,
-                mover.phase,
-                mover.spread,
-                mover.reacts,
-                mover.sees_robot,
-                mover.top_speed,
-            ]
+            rows.append(
+                [  # in the order of the columns
+                    mover.radius,
+                    mover.repeat,
+                    first,
+                    count,
+                    mover.duration,
+                    1.0 / mover.cycle,
+                    mover.phase,
+                    mover.spread,
+                    mover.reacts,
+                    mover.sees_robot,
+                    mover.top_speed,
+                ]
+            )
             first += count
-    return Motions(rows, pieces, np.any(rows[:, :, REACTS] > 0.0, axis=1))
+        pieces.append(np.concatenate([np.zeros((0, PIECE_NUMBERS)), *(m.pieces for m in movers)]))
+
+    ends = np.cumsum(list(map(len, crowds)), dtype=int)[:-1]
+    worlds = np.split(np.array(rows, np.float64).reshape(-1, MOVER_NUMBERS), ends)
+    padded = pad_rows(worlds, [-1.0] * MOVER_NUMBERS)
+    reacting = np.any(padded[:, :, REACTS] > 0.0, axis=1)
+    return Motions(padded, pad_rows(pieces, [0.0] * PIECE_NUMBERS), reacting)
 
 
 @jit
-def draw_offset(movers: Floats, m: int, key: float) -> float:
-    """Time in the motion of mover m at which an episode of this key starts [s]."""
-    offset: float = movers[m, PHASE] + movers[m, SPREAD] * hash_sample(key, m)
+def draw_offset(mover: Floats, number: int, key: float) -> float:
+    """Time in the motion of a mover of this number at which an episode of this key starts [s]."""
+    offset: float = mover[PHASE] + mover[SPREAD] * hash_sample(key, number)
     return offset
 
 
 @subroutine
-def locate_mover(
-    movers: Floats, m: int, pieces: Floats, clock: float
-) -> tuple[float, float, float, float]:
+def locate_mover(mover: Floats, pieces: Floats, clock: float) -> Quad:
     """Where a mover's motion is, and its velocity.
 
     Args:
-        movers: Those of a world, as in `Motions`.
-        m: Number of the mover.
+        mover: Row of `Motions.movers`.
         pieces: Those of its world.
         clock: Time since the episode's start, plus the offset of `draw_offset` [s].
 
     Returns:
         x, y [m] and their rates [m/s], in the frame of the world.
     """
-    piece, s, direction = find_piece(movers, m, pieces, clock)
-    x, vx = _evaluate(pieces, piece, X0, s)
-    y, vy = _evaluate(pieces, piece, Y0, s)
+    number, s, direction = find_piece(mover, pieces, clock)
+    x, vx = _evaluate(pieces[number], X0, s)
+    y, vy = _evaluate(pieces[number], Y0, s)
     return x, y, direction * vx, direction * vy
 
 
 @jit
-def _evaluate(pieces: Floats, piece: int, k: int, s: float) -> tuple[float, float]:
+def _evaluate(piece: Floats, k: int, s: float) -> Point:
     """The value and the rate of the polynomial of a piece whose first column is k."""
-    x0 = pieces[piece, k]
-    x1 = pieces[piece, k + 1]
-    x2 = pieces[piece, k + 2]
-    x3 = pieces[piece, k + 3]
-    return x0 + s * (x1 + s * (x2 + s * x3)), x1 + s * (2.0 * x2 + s * 3.0 * x3)
+    x1 = piece[k + 1]
+    x2 = piece[k + 2]
+    x3 = piece[k + 3]
+    return piece[k] + s * (x1 + s * (x2 + s * x3)), x1 + s * (2.0 * x2 + s * 3.0 * x3)
 
 
 @jit
-def find_piece(movers: Floats, m: int, pieces: Floats, clock: float) -> tuple[int, float, float]:
+def find_piece(mover: Floats, pieces: Floats, clock: float) -> tuple[int, float, float]:
     """The piece that a mover is in, the time since its begin [s], and its direction: 1, -1, 0."""
-    duration = movers[m, DURATION]
+    duration = mover[DURATION]
     direction = 1.0
-    if movers[m, REPEAT] == 1.0:
-        clock -= 2.0 * duration * np.floor(clock * movers[m, CYCLES])
+    if mover[REPEAT] == 1.0:
+        clock -= 2.0 * duration * np.floor(clock * mover[CYCLES])
         if clock > duration:
             clock = 2.0 * duration - clock
             direction = -1.0
-    elif movers[m, REPEAT] == 2.0:
-        clock -= duration * np.floor(clock * movers[m, CYCLES])
+    elif mover[REPEAT] == 2.0:
+        clock -= duration * np.floor(clock * mover[CYCLES])
     else:
         direction = 1.0 if 0.0 <= clock < duration else 0.0
         clock = min(max(clock, 0.0), duration)
 
-    low = int(movers[m, FIRST])
-    high = low + int(movers[m, COUNT]) - 1
+    low = int(mover[FIRST])
+    high = low + int(mover[COUNT]) - 1
     while low < high:
         middle = (low + high + 1) // 2
         if pieces[middle, BEGIN] <= clock:
@@ -431,32 +440,28 @@ def find_piece(movers: Floats, m: int, pieces: Floats, clock: float) -> tuple[in
 
 
 @subroutine
-def goes_straight(movers: Floats, m: int, pieces: Floats, clock: float, ago: float) -> bool:
+def goes_straight(mover: Floats, pieces: Floats, clock: float, ago: float) -> bool:
     """Whether a mover that doesn't react has kept its velocity for `ago` seconds until a time."""
-    piece, s, direction = find_piece(movers, m, pieces, clock)
+    number, s, direction = find_piece(mover, pieces, clock)
     for k in (X2, X3, Y2, Y3):
-        if pieces[piece, k] != 0.0:
+        if pieces[number, k] != 0.0:
             return False
 
-    is_last = piece + 1 == int(movers[m, FIRST] + movers[m, COUNT])
-    end = movers[m, DURATION] if is_last else pieces[piece + 1, BEGIN]
-    since = s if direction > 0.0 else end - pieces[piece, BEGIN] - s
-    return movers[m, REACTS] == 0.0 and direction != 0.0 and since >= ago
+    is_last = number + 1 == int(mover[FIRST] + mover[COUNT])
+    end = mover[DURATION] if is_last else pieces[number + 1, BEGIN]
+    since = s if direction > 0.0 else end - pieces[number, BEGIN] - s
+    return mover[REACTS] == 0.0 and direction != 0.0 and since >= ago
 
 
 @jit
-def may_jump(movers: Floats, m: int, clock: float, duration: float) -> bool:
+def may_jump(mover: Floats, clock: float, duration: float) -> bool:
     """Whether a motion that loops starts again within a duration from a time on [s]."""
-    if movers[m, REPEAT] != 2.0:
-        return False
-    rounds = np.floor(clock * movers[m, CYCLES])
-    starts_again: bool = np.floor((clock + duration) * movers[m, CYCLES]) > rounds
-    return starts_again
+    cycles = mover[CYCLES]
+    starts_again: bool = np.floor((clock + duration) * cycles) > np.floor(clock * cycles)
+    return mover[REPEAT] == 2.0 and starts_again
 
 
 @loop
-def locate_alone(
-    movers: Floats, pieces: Floats, time: float, share: float
-) -> tuple[float, float, float, float]:
-    """`locate_mover` of the only mover, for Python."""
-    return locate_mover(movers, 0, pieces, time + movers[0, PHASE] + share * movers[0, SPREAD])
+def locate_alone(mover: Floats, pieces: Floats, time: float, share: float) -> Quad:
+    """`locate_mover`, for Python."""
+    return locate_mover(mover, pieces, time + mover[PHASE] + share * mover[SPREAD])

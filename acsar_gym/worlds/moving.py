@@ -30,7 +30,7 @@ from acsar_gym.worlds.movers import (
     walk,
 )
 from acsar_gym.worlds.search import path_length, shortest_path
-from acsar_gym.worlds.world import Floats, Region, World, make_box, make_rectangle, make_wall
+from acsar_gym.worlds.world import Floats, Region, Rng, World, make_box, make_rectangle, make_wall
 
 WALKER_MARGIN = 0.05
 """Distance that walkers keep from obstacles, on top of their radius [m]."""
@@ -110,19 +110,14 @@ def blend(limits: tuple[float, float], difficulty: float) -> float:
     return low + difficulty * (high - low)
 
 
-def count_redraws(kind: str, number: int, radius: float) -> int:
-    """Return how many draws of a world of any difficulty are left out, see `REDRAWN`."""
-    worlds: dict[str, int] = _read_redrawn().get(kind, {}).get(f"{radius:.6f}", {})
-    return worlds.get(str(number), 0)
-
-
 @cache
-def _read_redrawn() -> dict[str, dict[str, dict[str, int]]]:
-    tables: dict[str, dict[str, dict[str, int]]] = json.loads(REDRAWN.read_text())
-    return tables
+def count_redraws(kind: str, radius: float) -> dict[str, int]:
+    """Return how many draws are left out, by the world's number, see `REDRAWN`."""
+    counts: dict[str, int] = json.loads(REDRAWN.read_text()).get(kind, {}).get(f"{radius:.6f}", {})
+    return counts
 
 
-def make_crowd(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+def make_crowd(rng: Rng, difficulty: float, radius: float) -> World:
     """Make a corridor, a crossing, rooms with doors or an open floor, full of walkers.
 
     Their number and speeds grow with difficulty. None of them reacts to the robot or to others.
@@ -130,7 +125,7 @@ def make_crowd(rng: np.random.Generator, difficulty: float, radius: float) -> Wo
     return _make_hall(rng, difficulty, radius, reacting=0.0)
 
 
-def make_reacting_crowd(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+def make_reacting_crowd(rng: Rng, difficulty: float, radius: float) -> World:
     """Make a world as `make_crowd`, but a share of the people, which grows with difficulty, reacts.
 
     A part of them, drawn for each world, sees other people, but not the robot. No two people
@@ -139,9 +134,7 @@ def make_reacting_crowd(rng: np.random.Generator, difficulty: float, radius: flo
     return _make_hall(rng, difficulty, radius, reacting=blend(REACTING_SHARES, difficulty))
 
 
-def _make_hall(
-    rng: np.random.Generator, difficulty: float, radius: float, reacting: float
-) -> World:
+def _make_hall(rng: Rng, difficulty: float, radius: float, reacting: float) -> World:
     """A hall with walkers, of whom a share reacts."""
     draw_hall = (draw_corridor, draw_crossing, draw_doors, draw_open_hall)[int(rng.integers(4))]
     hall = draw_hall(rng, radius)
@@ -166,7 +159,7 @@ def _make_hall(
     return replace(world, movers=tuple(movers))
 
 
-def draw_corridor(rng: np.random.Generator, radius: float) -> HallLayout:
+def draw_corridor(rng: Rng, radius: float) -> HallLayout:
     """Draw a corridor of 9 to 12 m along x, through which the robot goes from end to end."""
     length = rng.uniform(9.0, 12.0)
     half = rng.uniform(1.2, 1.8)
@@ -179,7 +172,7 @@ def draw_corridor(rng: np.random.Generator, radius: float) -> HallLayout:
     )
 
 
-def draw_crossing(rng: np.random.Generator, radius: float) -> HallLayout:
+def draw_crossing(rng: Rng, radius: float) -> HallLayout:
     """Draw two corridors that cross. The robot comes from an arm, and leaves by another."""
     reach = rng.uniform(4.0, 5.5)
     half_x, half_y = rng.uniform(1.1, 1.7, 2).tolist()  # of the corridors along y and along x
@@ -191,6 +184,7 @@ def draw_crossing(rng: np.random.Generator, radius: float) -> HallLayout:
         [-reach, -half_y, -reach, half_y],
         [reach, -half_y, reach, half_y],
     ]
+
     arms = [
         (-reach, -half_y, 1.3 - reach, half_y),
         (reach - 1.3, -half_y, reach, half_y),
@@ -210,7 +204,7 @@ def draw_crossing(rng: np.random.Generator, radius: float) -> HallLayout:
     )
 
 
-def draw_doors(rng: np.random.Generator, radius: float) -> HallLayout:
+def draw_doors(rng: Rng, radius: float) -> HallLayout:
     """Draw two or three rooms side by side, with a door or two between them."""
     count = int(rng.integers(2, 4))
     height = rng.uniform(4.0, 6.0)
@@ -237,7 +231,7 @@ def draw_doors(rng: np.random.Generator, radius: float) -> HallLayout:
     )
 
 
-def draw_open_hall(rng: np.random.Generator, radius: float) -> HallLayout:
+def draw_open_hall(rng: Rng, radius: float) -> HallLayout:
     """Draw a floor of 7 to 10 m, which people cross in all directions."""
     width, height = rng.uniform(7.0, 10.0, 2).tolist()
     dx = width / 3.0
@@ -252,7 +246,7 @@ def draw_open_hall(rng: np.random.Generator, radius: float) -> HallLayout:
     )
 
 
-def _draw_point(rng: np.random.Generator, box: Box, margin: float) -> tuple[float, float]:
+def _draw_point(rng: Rng, box: Box, margin: float) -> tuple[float, float]:
     """A point of a box, away from its sides."""
     low = np.array(box[:2]) + margin
     high = np.array(box[2:]) - margin
@@ -261,7 +255,7 @@ def _draw_point(rng: np.random.Generator, box: Box, margin: float) -> tuple[floa
     return x, y
 
 
-def _draw_furniture(rng: np.random.Generator, hall: HallLayout) -> tuple[Floats, list[Floats]]:
+def _draw_furniture(rng: Rng, hall: HallLayout) -> tuple[Floats, list[Floats]]:
     """Up to four pillars and boxes: circles, and the sides of boxes."""
     circles = []
     boxes = []
@@ -276,7 +270,7 @@ def _draw_furniture(rng: np.random.Generator, hall: HallLayout) -> tuple[Floats,
 
 
 def draw_walker(
-    rng: np.random.Generator,
+    rng: Rng,
     world: World,
     areas: list[Box],
     difficulty: float,
@@ -292,7 +286,7 @@ def draw_walker(
         areas: Boxes in which the person stops.
         difficulty: From 0 to 1.
         radius: Radius of the robot [m].
-        taken: Places where others may start, whom the person overlaps at the start of no episode;
+        taken: Places where others may start, whom the person overlaps at the start of no episode.
             None if they may overlap.
 
     Raises:
@@ -333,8 +327,8 @@ def draw_walker(
     raise WorldError("is too crowded for one more walker")
 
 
-def _draw_stop(rng: np.random.Generator, world: World, area: Box) -> Region:
-    """A place of an area in which a walker can stand; WorldError if none was found."""
+def _draw_stop(rng: Rng, world: World, area: Box) -> Region:
+    """A place of an area in which a walker can stand. Raises WorldError if none was found."""
     clear = PERSON_RADIUS + WALKER_MARGIN
     places = [_draw_point(rng, area, clear) for _ in range(POINT_DRAWS)]
     free = np.flatnonzero(point_clearance(places, world) >= clear)
@@ -346,9 +340,9 @@ def _draw_stop(rng: np.random.Generator, world: World, area: Box) -> Region:
 def list_starts(mover: Mover) -> list[Place]:
     """List places at which a mover may start, at most BEGIN_SPACING apart [m]."""
     count = 2 + math.ceil(mover.spread * mover.top_speed / BEGIN_SPACING)
-    (movers,), (pieces,), _ = make_motions([[mover]])
+    ((row,),), (pieces,), _ = make_motions([[mover]])
     shares = np.linspace(0.0, 1.0, count).tolist()
-    return [locate_alone(movers, pieces, 0.0, share)[:2] for share in shares]
+    return [locate_alone(row, pieces, 0.0, share)[:2] for share in shares]
 
 
 def starts_away(mover: Mover, places: Sequence[Place], distance: float) -> bool:
@@ -357,7 +351,7 @@ def starts_away(mover: Mover, places: Sequence[Place], distance: float) -> bool:
     return all(math.dist(start, place) >= distance for start in starts for place in places)
 
 
-def make_dynabarn(rng: np.random.Generator, difficulty: float, radius: float) -> World:
+def make_dynabarn(rng: Rng, difficulty: float, radius: float) -> World:
     """Make a world like those of DynaBARN, by its generator's rules.
 
     A. Nair, M. Saeed, X. Xiao et al.: DynaBARN: Benchmarking Metric Ground Navigation in Dynamic
@@ -381,7 +375,7 @@ def make_dynabarn(rng: np.random.Generator, difficulty: float, radius: float) ->
     )
 
 
-def draw_cylinder(rng: np.random.Generator, difficulty: float, radius: float) -> Mover:
+def draw_cylinder(rng: Rng, difficulty: float, radius: float) -> Mover:
     """Draw one of DynaBARN's cylinders, which doesn't start near the robot's start or goal."""
     fastest = blend((DYNABARN_EASY_SPEED, DYNABARN_SPEEDS[1]), difficulty)
     deviation = blend(DYNABARN_SPREADS, difficulty)
@@ -403,7 +397,7 @@ def draw_cylinder(rng: np.random.Generator, difficulty: float, radius: float) ->
             return mover
 
 
-def draw_polynomial(rng: np.random.Generator, order: int) -> Floats:
+def draw_polynomial(rng: Rng, order: int) -> Floats:
     """Draw points of a polynomial y = p(x) from border to border of DynaBARN's field, (n, 2) [m].
 
     It goes through random points of whole metres. Its points are those, ten at even x, and where it

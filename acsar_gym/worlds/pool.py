@@ -40,7 +40,7 @@ class Pool:
     """
 
     def __init__(self, sets: Sequence[WorldSet], radius: float = generators.DEFAULT_RADIUS) -> None:
-        """Check given worlds; WorldError if a footprint can't cross one."""
+        """Check given worlds. Raises WorldError if a footprint can't cross one."""
         self.radius = radius
         self.sets = tuple(
             replace(group, worlds=tuple(check_world(world, radius) for world in group.worlds))
@@ -95,12 +95,12 @@ class Pool:
 
     @property
     def numbers(self) -> range | None:
-        """Numbers of the worlds; None for several sets, whose worlds have names."""
+        """Numbers of the worlds, or None for several sets, whose worlds have names."""
         return self.sets[0].numbers if len(self.sets) == 1 else None
 
     @property
     def split(self) -> str:
-        """The split that all worlds belong to, such as "test"; empty if there is none."""
+        """The split that all worlds belong to, such as "test", or empty if there is none."""
         splits = {group.split for group in self.sets}
         return splits.pop() if len(splits) == 1 else ""
 
@@ -111,7 +111,7 @@ class Pool:
 
     @cached_property
     def moves(self) -> bool:
-        """Whether something moves in these worlds; those of a generator are like its first one."""
+        """Whether something moves in these worlds. Those of a generator are like its first one."""
         return any(
             self._make(group, number).movers
             for group in self.sets

@@ -6,14 +6,11 @@ import importlib
 import inspect
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from acsar_gym.errors import ConfigError, WorldError, format_error, show_value, suggest_name
 from acsar_gym.reading import find_modules_here
-from acsar_gym.worlds.world import World
-
-if TYPE_CHECKING:
-    import numpy as np
+from acsar_gym.worlds.world import Rng, World
 
 BUILT_IN_KINDS = (
     *("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path"),
@@ -41,7 +38,7 @@ _NAME = re.compile(
     re.ASCII,
 )
 
-Maker = Callable[["np.random.Generator", float, float], World]
+Maker = Callable[[Rng, float, float], World]
 """Takes (rng, difficulty, footprint radius [m]), and makes a world that may not be solvable."""
 
 
@@ -54,7 +51,7 @@ REGISTERED: dict[str, Maker] = {}
 
 
 def register(name: str, make: Maker) -> None:
-    """Add a generator of worlds; then `worlds="name:0-99"` works like "clutter:0-99".
+    """Add a generator of worlds. Then `worlds="name:0-99"` works like "clutter:0-99".
 
     World `number` of a generator is always the same: its random numbers depend on the name and the
     number only. A world without a `path` gets the shortest path for the footprint. If there is
@@ -69,7 +66,7 @@ def register(name: str, make: Maker) -> None:
         name: lower-case letters, digits and underscores, at most 40, beginning with a letter.
         make: called as `make(rng, difficulty, footprint_radius)` with a numpy.random.Generator,
             its only source of random numbers, a difficulty from 0 to 1, and the radius of the disc
-            around the robot's footprint [m]; returns a `World`, in m and rad of its own frame.
+            around the robot's footprint [m]. Returns a `World`, in m and rad of its own frame.
 
     Raises:
         ConfigError: for another form of name, a name that is taken, or a `make` that can't be
@@ -105,7 +102,7 @@ def list_kinds() -> tuple[str, ...]:
 
 
 def home_module(kind: str) -> str:
-    """The module of a generator, which should register it; "" for those of this package."""
+    """The module of a generator, which should register it, or "" for those of this package."""
     return str(REGISTERED[kind].__module__) if kind in REGISTERED else ""
 
 
@@ -120,7 +117,7 @@ def check_registered(kind: str) -> None:
 
 
 def import_generator(module: str, kind: str) -> None:
-    """Import the module that registers a generator; nothing for "" and the main program."""
+    """Import the module that registers a generator, unless it is "" or the main program."""
     if module in ("", "__main__"):
         return
 
@@ -145,15 +142,15 @@ class WorldsName(NamedTuple):
     """The parts of a name of generated worlds, such as "mine.module:corridors:0-99"."""
 
     module: str
-    """Module to import first, which registers the generator; "" for none."""
+    """Module to import first, which registers the generator, or "" for none."""
     kind: str
     """The generator's name."""
     numbers: str
-    """A split such as "train", "50" or "50-99"; "" if the name has none."""
+    """A split such as "train", "50" or "50-99", or "" if the name has none."""
 
 
 def parse_name(text: str) -> WorldsName | None:
-    """Split a name into its parts, without importing anything; None for another form of text."""
+    """Split a name into its parts, without importing anything, or None for another form of text."""
     match = _NAME.fullmatch(text)
     if match is None or match["module"] in BUILT_IN_KINDS:
         return None
@@ -161,9 +158,9 @@ def parse_name(text: str) -> WorldsName | None:
 
 
 def parse_known_name(text: str) -> WorldsName | None:
-    """Split a name whose generator is known; imports the module that it names.
+    """Split a name whose generator is known. Imports the module that it names.
 
-    None if the text isn't such a name; WorldError if the module registers no such generator.
+    None if the text isn't such a name. Raises WorldError if the module registers no such generator.
     """
     name = parse_name(text)
     if name is None:
@@ -178,7 +175,7 @@ def split_numbers(kind: str, split: str) -> range:
 
 
 def find_split(kind: str, numbers: range) -> str:
-    """The split that all of these numbers belong to; empty if there is none."""
+    """The split that all of these numbers belong to, or empty if there is none."""
     for split in SPLITS:
         members = split_numbers(kind, split)
         if numbers[0] in members and numbers[-1] in members:

@@ -19,7 +19,7 @@ from acsar_gym.errors import WorldError, explain_error, show_value
 from acsar_gym.worlds.world import MAX_COORDINATE, Floats
 
 MAX_SDF_BYTES = 64_000_000  # most bytes of an SDF file
-MAX_TAGS = 2_500_000  # most tags of a file; a world of 20,000 cylinders as in BARN has 2 million
+MAX_TAGS = 2_500_000  # most tags of a file. A world of 20,000 cylinders as in BARN has 2 million
 LIDAR_HEIGHT = 0.37  # height of the LiDAR of the preset acsar [m]
 HEADROOM = 0.5  # a body that begins above this height can't touch the robot or its LiDAR's rays [m]
 STEP_HEIGHT = 0.01  # the robot drives over a body that isn't higher than this [m]
@@ -110,7 +110,7 @@ def _list_bodies(model: Element, state: Element | None) -> Iterator[tuple[Elemen
 
 
 def _outline(shape: Element, frame: Floats, top: float) -> Floats:
-    """The sides of a box (4, 4), or the circle of a round body (1, 3); empty if out of reach."""
+    """The sides of a box (4, 4), or the circle of a round body (1, 3), or empty if out of reach."""
     is_upright = shape.tag == "sphere" or abs(frame[2, 2]) >= math.cos(MAX_TILT)
     if shape.find("normal") is not None:
         is_upright &= _read_numbers(shape, "normal", 3) == [0.0, 0.0, 1.0]
@@ -140,7 +140,7 @@ def _outline(shape: Element, frame: Floats, top: float) -> Floats:
 
 
 def _read_frame(parent: Element) -> Floats:
-    """The pose of an element as a matrix (4, 4); the identity if it has none."""
+    """The pose of an element as a matrix (4, 4), or the identity if it has none."""
     pose = parent.find("pose")
     if pose is None or not (pose.text or "").strip():
         return np.eye(4)
@@ -163,7 +163,7 @@ def _read_frame(parent: Element) -> Floats:
 def _read_numbers(
     parent: Element, tag: str, count: int, least: float = -MAX_COORDINATE
 ) -> list[float]:
-    """The numbers in a child; WorldError for another count, and for NaN or large numbers."""
+    """The numbers in a child. Raises WorldError for another count, and for NaN or large numbers."""
     text = parent.findtext(tag, "")
     try:
         numbers = [float(word) for word in text.split(None, count)]

@@ -11,39 +11,31 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.errors import WorldError
-from acsar_gym.worlds.geometry import point_clearance, segment_clearance
+from acsar_gym.jit import loop
+from acsar_gym.worlds.geometry import is_free, point_clearance, segment_clearance
 from acsar_gym.worlds.grid import (
+    CELL_SIDE,
     MAX_CELLS,
     PATH_SLACK,
     Grid,
     bounds_with,
-    count_cells,
-    crop_world,
     free_cells,
-    may_leave,
     search_cells,
 )
 from acsar_gym.worlds.sdf import LIDAR_HEIGHT, STEP_HEIGHT
-from acsar_gym.worlds.world import Floats, Region, World
+from acsar_gym.worlds.world import Floats, Region, World, X, Y
 
 LEAST_REACH = 10.0
 """In large worlds, at least this distance around start and goal is searched first [m]."""
-REACH_FACTOR = 4.0
-"""Factor by which this distance grows if no path was found."""
 ENTRY_CELLS = 4
 """Distance to an end of a path within which the path may enter the grid [cells]."""
 CORNER_CUTS = 4
 """How often corners are cut off."""
 CUT_BISECTIONS = 6
 """Bisections that find the size of each cut."""
-MANY_OBSTACLES = 500
-"""With more obstacles than this, only those near a part of the path are considered."""
-POINTS_AT_ONCE = 64
-"""Points of a path that are checked at once for a straight line to them."""
 PATH_SPACING = 0.05
 """Distance between the points of a sampled path [m]."""
 
@@ -150,38 +142,36 @@ def _prefix(world: World) -> str:
 
 
 def _search_path(world: World, radius: float, ends: Floats) -> Floats | None:
-    """Find a shortest path over cells, (points, 2); None if there is none.
+    """Find a shortest path over cells, (points, 2), or None if there is none.
 
-    In a large world, such as a world whose obstacles are far apart, only the area around the ends
-    is searched, and enlarged until nothing outside can be on a shorter path: all paths of length L
-    between ends D apart lie within sqrt(L^2 - D^2) / 2 of the box around the ends.
+    In a large world, only the area around the ends is searched first, and then as much as may
+    contain a shorter path: all paths of length L between ends D apart lie within
+    sqrt(L^2 - D^2) / 2 of the box around the ends.
     """
     box = bounds_with(world, ends)
     farthest = max(*(ends.min(axis=0) - box[0]), *(box[1] - ends.max(axis=0)))
     distance = math.dist(*ends)
-    is_small = count_cells(box, radius) <= MAX_CELLS
-    reach = math.inf if is_small else max(LEAST_REACH, distance)
+    is_large = np.ptp(box, axis=0).prod() > MAX_CELLS * CELL_SIDE**2
+    reach = max(LEAST_REACH, distance) if is_large else math.inf
 
     while True:
         grid = free_cells(world, radius, ends, reach)
         first, last = (_entry_cell(grid, end, world, radius) for end in ends)
         way = search_cells(grid, first, last)
+        path = None
+        needed = math.inf
         if way is not None:
             path = np.concatenate([ends[:1], grid.centres(way), ends[1:]])
             needed = math.sqrt(max(path_length(path) ** 2 - distance**2, 0.0)) / 2.0
-            if reach >= min(farthest, needed):
-                return path
-            reach = needed
-        elif reach >= farthest or not may_leave(grid, first, last):
-            return None
-        else:
-            reach *= REACH_FACTOR
+        if reach >= min(farthest, needed):
+            return path
+        reach = needed
 
 
 def _entry_cell(grid: Grid, end: Floats, world: World, radius: float) -> int:
     """The nearest free cell that can be reached in a straight line from an end of the path.
 
-    The end's own cell if there is none; the path may be a little too near to an obstacle then.
+    The end's own cell if there is none. The path may be a little too near to an obstacle then.
     """
     number = grid.cell(*end.tolist())
     row, column = divmod(number, grid.free.shape[1])
@@ -202,8 +192,6 @@ def _entry_cell(grid: Grid, end: Floats, world: World, radius: float) -> int:
 
 def _cut_corners(path: Floats, world: World, radius: float) -> Floats:
     """Cut off the corners of a path as far as obstacles allow it."""
-    if len(path) < 3:
-        return path
     corners = path[1:-1]
     ahead = path[:-2] - corners
     behind = path[2:] - corners
@@ -211,43 +199,35 @@ def _cut_corners(path: Floats, world: World, radius: float) -> Floats:
     for step in 0.25 * 0.5 ** np.arange(CUT_BISECTIONS):
         starts = corners + (share + step) * ahead
         ends = corners + (share + step) * behind
-        blocked = _find_blocked(starts, ends, world, radius - PATH_SLACK / 2.0)
-        share += np.where(blocked, 0.0, step)[:, None]
+        share[segment_clearance(starts, ends, world) >= radius - PATH_SLACK / 2.0] += step
     cut = np.stack([corners + share * ahead, corners + share * behind], axis=1)
     return np.concatenate([path[:1], cut.reshape(-1, 2), path[-1:]])
 
 
 def _straighten(path: Floats, world: World, radius: float) -> Floats:
     """Remove points of a path that a straight line can replace."""
-    kept = [0]
-    while kept[-1] < len(path) - 1:
-        start = kept[-1]
-        farthest = start + 1  # to which all lines are free
-        blocked = False
-        while not blocked and farthest < len(path) - 1:
-            ends = path[farthest + 1 : farthest + 1 + POINTS_AT_ONCE]
-            lines = _find_blocked(
-                np.broadcast_to(path[start], ends.shape), ends, world, radius - PATH_SLACK
-            )
-            blocked = bool(lines.any())
-            farthest += int(lines.argmax()) if blocked else len(ends)
-        kept.append(farthest)
-    return path[kept]
+    points = np.ascontiguousarray(path)
+    return path[_find_corners(points, world.circles, world.segments, radius - PATH_SLACK)]
 
 
-def _find_blocked(starts: Floats, ends: Floats, world: World, radius: float) -> NDArray[np.bool_]:
-    """Whether straight lines are nearer than `radius` to an obstacle."""
-    if world.obstacles > MANY_OBSTACLES:
-        points = np.concatenate([starts, ends])
-        world = crop_world(
-            world, np.array([points.min(axis=0) - radius, points.max(axis=0) + radius])
-        )
-    blocked: NDArray[np.bool_] = segment_clearance(starts, ends, world) < radius
-    return blocked
+@loop
+def _find_corners(path: Floats, circles: Floats, segments: Floats, radius: float) -> list[int]:
+    """Numbers of the points of a path that remain."""
+    corners = [0]
+    while corners[-1] < len(path) - 1:
+        start = path[corners[-1]]
+        farthest = corners[-1] + 1
+        for end in path[farthest + 1 :]:
+            line = (start[X], start[Y], end[X], end[Y])
+            if not is_free(line, circles, segments, radius):
+                break
+            farthest += 1
+        corners.append(farthest)
+    return corners
 
 
 def world_along(path: Floats) -> World:
-    """Make an empty world with a path to follow; the robot starts on it, heading along it."""
+    """Make an empty world with a path to follow. The robot starts on it, heading along it."""
     world = World(path=path)
     if world.path is None or len(world.path) < 2 or not world.length > 0.0:
         raise WorldError("path: must have at least two points (x, y) [m], not all the same")
@@ -259,7 +239,7 @@ def world_along(path: Floats) -> World:
 
 
 def align_with_path(world: World) -> World:
-    """Move a world's start and goal to the ends of its path; the start's heading is along it."""
+    """Move a world's start and goal to the ends of its path. The start's heading is along it."""
     if world.path is None:
         raise WorldError(f"{world.name or 'the world'}: has no path to follow")
     ends = world_along(world.path)
@@ -277,8 +257,8 @@ def sample_path(path: Floats, spacing: float = PATH_SPACING) -> Floats:
     """Sample a path at even distances, its end included.
 
     Returns:
-        (samples, 3): x [m], y [m] and direction [rad] of the line that follows; at the end that of
-        the last line.
+        (samples, 3): x [m], y [m] and direction [rad] of the line that follows, at
+        the end that of the last line.
     """
     path = drop_repeated(path)
     steps = np.diff(path, axis=0)

@@ -27,7 +27,7 @@ MAX_NUMBERS = 10**9  # most worlds of a set
 
 SetSource = Union[str, Path, World, Mapping[str, Any], "WorldSet"]
 Source = SetSource | Sequence[SetSource]
-"""What users may pass as `worlds=`; the fields of a mapping are those of `files.FileSource`."""
+"""What users may pass as `worlds=`. The fields of a mapping are those of `files.FileSource`."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class WorldSet:
     difficulty: Level = None
     """Difficulty of generated worlds."""
     worlds: tuple[World, ...] = field(default=(), repr=False)
-    """Given worlds; none for those of a generator."""
+    """Given worlds, or none for those of a generator."""
 
     @classmethod
     def parse(
@@ -97,17 +97,17 @@ class WorldSet:
 
     @property
     def kind(self) -> str:
-        """Name of the generator without its module; for given worlds as `generator`."""
+        """Name of the generator without its module. For given worlds as `generator`."""
         return self.generator if self.worlds else self.generator.rpartition(":")[2]
 
     @property
     def module(self) -> str:
-        """Module that registers the generator; "" for those of this package."""
+        """Module that registers the generator, or "" for those of this package."""
         return "" if self.worlds else self.generator.rpartition(":")[0]
 
     @property
     def split(self) -> str:
-        """The split that all worlds belong to; empty if there is none."""
+        """The split that all worlds belong to, or empty if there is none."""
         return "" if self.worlds else registry.find_split(self.kind, self.numbers)
 
 
@@ -125,7 +125,7 @@ def parse_sets(
 
 
 def name_alone(source: Any, split: str) -> Any:
-    """Add a split to generators' names without numbers, in lists as well; anything else stays."""
+    """Add a split to generators' names without numbers, in lists as well. Anything else stays."""
     if isinstance(source, list | tuple):
         return [name_alone(item, split) for item in source]
     name = registry.parse_known_name(source) if isinstance(source, str) else None
@@ -149,7 +149,7 @@ def place_worlds(
 
 
 def _parse_numbers(text: str, kind: str, numbers: str) -> range:
-    """World numbers of a split, "50" or "50-99"; `text` is the whole name."""
+    """World numbers of a split, "50" or "50-99". `text` is the whole name."""
     if numbers in registry.SPLITS:
         return registry.split_numbers(kind, numbers)
 
@@ -161,7 +161,7 @@ def _parse_numbers(text: str, kind: str, numbers: str) -> range:
 
 
 def _check_difficulty(difficulty: Level) -> Level:
-    """A difficulty as plain numbers; WorldError if it isn't from 0 to 1."""
+    """A difficulty as plain numbers. Raises WorldError if it isn't from 0 to 1."""
     low, high = generators.difficulty_limits(difficulty)
     if difficulty is None:
         return None

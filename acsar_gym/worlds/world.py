@@ -16,6 +16,7 @@ from acsar_gym.errors import WorldError, show_value
 from acsar_gym.worlds.movers import Mover, check_movers
 
 Floats = NDArray[np.float64]
+Rng = np.random.Generator
 Pose = tuple[float, float, float]  # x [m], y [m], theta [rad]
 MAX_OBSTACLES = 20_000  # a world with more circles and segments than this is refused
 MAX_COORDINATE = 1e4  # coordinates beyond this are refused [m]
@@ -40,7 +41,7 @@ class Region:
     radius: float = 0.0
     """Radius of the disc [m]."""
     theta: float | None = None
-    """Heading of a start [rad]; None is any. A goal has none."""
+    """Heading of a start [rad]. None is any. A goal has none."""
 
     def __post_init__(self) -> None:
         numbers = (self.x, self.y, self.radius, 0.0 if self.theta is None else self.theta)
@@ -85,7 +86,7 @@ class World:
     name: str = ""
     """For pictures and reports."""
     movers: Sequence[Mover] = ()
-    """Movers, see `movers`; their times are those since the start of an episode."""
+    """Movers, see `movers`. Their times are those since the start of an episode."""
 
     def __post_init__(self) -> None:
         for name, width in (("circles", 3), ("segments", 4), ("path", 2)):
@@ -107,7 +108,7 @@ class World:
 
     @cached_property
     def length(self) -> float:
-        """Length of `path` [m]; NaN without a path."""
+        """Length of `path` [m], or NaN without a path."""
         if self.path is None:
             return math.nan
         return float(np.hypot(*np.diff(self.path, axis=0).T).sum())
@@ -119,9 +120,7 @@ class World:
         People who react may leave their motions, and so these bounds.
         """
         boxes = np.array([self.standing_bounds, *(mover.bounds for mover in self.movers)])
-        min_x, min_y = boxes[:, :2].min(axis=0).tolist()
-        max_x, max_y = boxes[:, 2:].max(axis=0).tolist()
-        return min_x, min_y, max_x, max_y
+        return _bound(boxes.reshape(-1, 2))
 
     @cached_property
     def standing_bounds(self) -> tuple[float, float, float, float]:
@@ -130,17 +129,20 @@ class World:
         discs = np.concatenate([self.circles, ends])
         centres = discs[:, [X, Y]]
         radii = discs[:, [RADIUS]]
-        points = [centres - radii, centres + radii, self.segments.reshape(-1, 2)]
-        if self.path is not None:
-            points.append(self.path)
-        corners = np.concatenate(points)
-        min_x, min_y = corners.min(axis=0).tolist()
-        max_x, max_y = corners.max(axis=0).tolist()
-        return min_x, min_y, max_x, max_y
+        path = np.zeros((0, 2)) if self.path is None else self.path
+        points = [centres - radii, centres + radii, self.segments.reshape(-1, 2), path]
+        return _bound(np.concatenate(points))
+
+
+def _bound(points: Floats) -> tuple[float, float, float, float]:
+    """Least x and y, largest x and y of points (n, 2)."""
+    min_x, min_y = points.min(axis=0).tolist()
+    max_x, max_y = points.max(axis=0).tolist()
+    return min_x, min_y, max_x, max_y
 
 
 def _validate_rows(name: str, rows: Floats | Sequence[Any], width: int) -> Floats:
-    """A read-only copy of (n, width) finite numbers; WorldError for anything else."""
+    """A read-only copy of (n, width) finite numbers. Raises WorldError for anything else."""
     try:
         array = np.full(1, np.nan) if np.iscomplexobj(rows) else np.array(rows, np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -158,7 +160,7 @@ def _validate_rows(name: str, rows: Floats | Sequence[Any], width: int) -> Float
 
 
 def make_box(x: float, y: float, length: float, width: float, theta: float = 0.0) -> Floats:
-    """Sides of a box around (x, y), (4, 4), rotated by theta [rad]; lengths in m."""
+    """Sides of a box around (x, y), (4, 4), rotated by theta [rad]. Lengths in m."""
     cos = math.cos(theta)
     sin = math.sin(theta)
     half = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * (length / 2.0, width / 2.0)
@@ -199,39 +201,34 @@ class Scene:
     start: Pose = (0.0, 0.0, 0.0)
     """x [m], y [m], theta [rad]."""
     goal: tuple[float, float] | None = None
-    """x, y [m]; None without a goal."""
+    """x, y [m], or None without a goal."""
     world: World | None = None
-    """Obstacles; None on an open floor."""
+    """Obstacles, or None on an open floor."""
     physics: Physics | None = None
-    """The simulated robot's physics in this episode; None for the configured physics."""
+    """The simulated robot's physics in this episode, or None for the configured physics."""
     key: float = 0.0
     """The episode's draw, 0 to 1, on which its movers' phases and people's traits depend."""
 
 
 def to_world(start: Pose, pose: Pose) -> Pose:
     """Transform a pose from the odometry frame whose origin is `start` into the world's frame."""
-    x, y, theta = start
-    cos = math.cos(theta)
-    sin = math.sin(theta)
-    return (
-        x + cos * pose[0] - sin * pose[1],
-        y + sin * pose[0] + cos * pose[1],
-        math.remainder(theta + pose[2], math.tau),
-    )
+    x, y = point_in_world(start, pose[:2])
+    return x, y, math.remainder(start[2] + pose[2], math.tau)
 
 
 def to_odometry(start: Pose, pose: Pose) -> Pose:
     """Transform a pose from the world's frame into the odometry frame whose origin is `start`."""
-    x, y, theta = pose
-    dx = x - start[0]
-    dy = y - start[1]
-    cos = math.cos(start[2])
-    sin = math.sin(start[2])
-    turned = math.remainder(theta - start[2], math.tau)
-    return cos * dx + sin * dy, cos * dy - sin * dx, turned
+    x, y, theta = start
+    dx = pose[0] - x
+    dy = pose[1] - y
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    return cos * dx + sin * dy, cos * dy - sin * dx, math.remainder(pose[2] - theta, math.tau)
 
 
 def point_in_world(start: Pose, point: tuple[float, float]) -> tuple[float, float]:
     """Transform a point [m] from the odometry frame whose origin is `start` to the world's."""
-    x, y, _ = to_world(start, (*point, 0.0))
-    return x, y
+    x, y, theta = start
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    return x + cos * point[0] - sin * point[1], y + sin * point[0] + cos * point[1]

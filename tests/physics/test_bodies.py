@@ -1,25 +1,24 @@
-"""Bodies against closed forms, against each other, and at obstacles; PyBullet's memory."""
+"""Bodies against closed forms, against each other, and at obstacles. PyBullet's memory."""
 
 from __future__ import annotations
 
 import gc
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import psutil
 import pytest
 
-from acsar_gym.config import RobotConfig
+from acsar_gym import RobotConfig, open_link
 from acsar_gym.physics.bodies import make_body
 from acsar_gym.physics.body import Body
-from acsar_gym.physics.bullet import BulletBody
-from acsar_gym.physics.model import closed_form_yaw_rate
-from acsar_gym.protocol import ZERO, Speeds
+from acsar_gym.protocol import ZERO, Speeds, encode
 from acsar_gym.worlds import Scene, World
 
 ACSAR = RobotConfig.preset("acsar")
+ENGINES = ["bullet", "mujoco"]
 AHEAD: Speeds = (8.0, 8.0, 8.0, 8.0)
 SECOND = 200
 """Firmware loops."""
@@ -27,18 +26,20 @@ TURNS: list[Speeds] = [(4.0, -4.0, -4.0, 4.0), (8.0, 4.0, 4.0, 8.0), (3.0, 7.0, 
 WEDGE: Any = ((0.3, 0.0), (-0.2, 0.25), (-0.2, -0.25))
 WALL = World(segments=np.array([[1.0, -1.0, 1.0, 1.0]]))
 OBSTACLES = [
-    (None, World(np.array([[1.0, 0.0, 0.2]]))),
-    (None, World(segments=np.array([[0.8, -0.3, 1.4, 1.0]]))),
-    (WEDGE, World(np.array([[1.0, 0.15, 0.05]]))),
-    (WEDGE, WALL),
+    WALL,
+    World(np.array([[1.0, 0.1, 0.2]])),
+    World(segments=np.array([[0.8, -0.3, 1.4, 1.0]])),
 ]
+DRIVES: dict[str, Callable[[float], Speeds]] = {
+    "slalom": lambda now: turn(6.0 + 3.0 * math.sin(2.0 * now), 6.0 - 3.0 * math.sin(2.0 * now)),
+    "stop": lambda now: turn(7.0, 4.0) if now < 5.0 else ZERO,
+    "saturated": lambda _: turn(99.0, 20.0),
+}
+"""Commanded wheel speeds [rad/s] as functions of time [s], by name."""
 
 
-@pytest.fixture
-def body() -> Iterator[BulletBody]:
-    made = BulletBody(RobotConfig())
-    yield made
-    made.close()
+def turn(right: float, left: float) -> Speeds:
+    return right, left, left, right
 
 
 def drive(body: Body, set_points: Speeds, loops: int) -> None:
@@ -46,11 +47,11 @@ def drive(body: Body, set_points: Speeds, loops: int) -> None:
         body.step(set_points)
 
 
-def mean_yaw_rate(body: Body, turn: Speeds) -> float:
+def mean_yaw_rate(body: Body, set_points: Speeds) -> float:
     """Yaw rate over a second, after two seconds [rad/s]."""
-    drive(body, turn, 2 * SECOND)
+    drive(body, set_points, 2 * SECOND)
     theta = body.truth.pose[2]
-    drive(body, turn, SECOND)
+    drive(body, set_points, SECOND)
     return math.remainder(body.truth.pose[2] - theta, math.tau)
 
 
@@ -65,80 +66,107 @@ def touches_at(body: Body, world: World) -> float:
     return math.nan
 
 
-@pytest.mark.parametrize("turn", TURNS)
-def test_steady_turns_are_the_closed_form_at_every_heading(turn: Speeds) -> None:
-    config = RobotConfig(wheel_radius=0.0825, wheel_separation=0.545, wheelbase=0.512)
-    body, rates = BulletBody(config), []
-    for eighth in range(8):
-        body.reset(Scene(start=(1.0, -2.0, math.pi / 4 * eighth + 0.1)))
-        rates.append(mean_yaw_rate(body, turn))
-    body.close()
-    expected = closed_form_yaw_rate(turn, config)
-    assert rates == pytest.approx([expected] * 8, rel=0.01)
-    assert max(rates) - min(rates) < 0.005 * abs(expected)
-
-
 @pytest.mark.parametrize("name", ["planar", "bullet"])
-def test_turns_follow_the_turn_factor_and_the_wheels_radii(name: str) -> None:
+def test_steady_turns_are_the_closed_form_at_every_heading(name: str) -> None:
+    """With the turn factor, and with the radii of the wheels."""
     config = RobotConfig(left_wheel_radius_multiplier=0.96, right_wheel_radius_multiplier=1.02)
     body = make_body(name, config.with_(body={"turn_factor": 1.6}))
-    for right, left, _, _ in (AHEAD, *TURNS):
+    for eighth in range(8):
+        body.reset(Scene(start=(1.0, -2.0, math.pi / 4 * eighth + 0.1)))
+        right, left, _, _ = set_points = TURNS[eighth % 3]
         expected = 0.05 * (right * 1.02 - left * 0.96) / 0.3 / 1.6
-        assert mean_yaw_rate(body, (right, left, left, right)) == pytest.approx(expected, rel=0.01)
+        assert mean_yaw_rate(body, set_points) == pytest.approx(expected, rel=0.01)
     body.close()
 
 
-def test_a_reset_body_repeats_a_fresh_body_bit_for_bit(body: BulletBody) -> None:
-    def drive_some() -> list[Any]:
-        body.reset(Scene(start=(0.3, 0.1, 1.0)))
-        truths = []
-        for turn in (*TURNS, ZERO):
-            drive(body, turn, 50)
-            truths.append(body.truth)
-        return truths
-
-    fresh = drive_some()
-    body.reset(Scene(start=(-5.0, 2.0, -2.0)))
-    drive(body, (9.0, 2.0, 2.0, 9.0), 333)
-    assert drive_some() == fresh
-
-
-def test_the_picture_shows_robot_and_goal(body: BulletBody) -> None:
-    empty = body.image(160, 120)
-    body.reset(Scene(goal=(0.5, 0.0)))
-    marked = body.image(160, 120)
-    assert marked.shape == (120, 160, 3)
-    assert marked.std() > 5.0
-    assert (empty != marked).any()
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_reset_body_repeats_a_fresh_body_bit_for_bit(name: str) -> None:
+    """After an episode in another world that ended at a wall."""
+    fresh = make_body(name, ACSAR)
+    used = make_body(name, ACSAR)
+    used.reset(Scene(world=WALL))
+    drive(used, AHEAD, 3 * SECOND)
+    truths = []
+    for body in (fresh, used):
+        body.reset(Scene(start=(0.3, -0.2, 1.0), goal=(2.0, 0.0), world=OBSTACLES[1]))
+        for set_points in (*TURNS, ZERO):
+            drive(body, set_points, 50)
+            truths.append((body.truth, body.wheel_angles))
+        body.close()
+    assert truths[:4] == truths[4:]
 
 
-@pytest.mark.parametrize(("outline", "world"), OBSTACLES)
-def test_both_bodies_touch_at_the_same_place(outline: Any, world: World) -> None:
+@pytest.mark.parametrize("name", ENGINES)
+def test_the_picture_shows_obstacles_and_goal(name: str) -> None:
+    body: Any = make_body(name, ACSAR)
+    plain = body.image(64, 48)
+    assert plain.shape == (48, 64, 3)
+    body.reset(Scene(goal=(0.8, 0.0), world=World(np.array([[1.2, 0.5, 0.2]]))))
+    picture = body.image(64, 48).astype(int)
+    assert (np.abs(picture - plain).max(axis=2) > 30).mean() > 0.02
+    red, green, _ = np.moveaxis(picture, 2, 0)
+    assert (green > red + 40).any()  # the goal's disc
+    for _ in range(2):
+        body.close()
+
+
+@pytest.mark.parametrize("name", ENGINES)
+@pytest.mark.parametrize("outline", [None, WEDGE], ids=["box", "wedge"])
+def test_it_touches_where_the_planar_robot_does_and_is_stopped(name: str, outline: Any) -> None:
     config = ACSAR.with_(footprint=outline)
-    bullet, planar = make_body("bullet", config), make_body("planar", config)
-    assert touches_at(bullet, world) == pytest.approx(touches_at(planar, world), abs=0.006)
-    bullet.close()
+    body = make_body(name, config)
+    planar = make_body("planar", config)
+    for world in OBSTACLES:
+        assert touches_at(body, world) == pytest.approx(touches_at(planar, world), abs=0.006)
+    body.reset(Scene(world=WALL))
+    drive(body, AHEAD, 3 * SECOND)
+    front = max(x for x, _ in config.outline)
+    assert body.truth.pose[0] == pytest.approx(1.0 - front, abs=0.02)
+    body.reset(Scene())
+    body.feel()
+    assert not body.truth.contact
+    body.close()
 
 
-MEMORY: dict[str, Callable[[np.random.Generator], Scene]] = {
-    "one world": lambda rng: Scene(goal=(1.0, 1.0)),
-    "changing worlds": lambda rng: Scene(
-        world=World(np.column_stack([rng.uniform(1.0, 5.0, (40, 2)), np.full(40, 0.1)]))
-    ),
-}
+def drive_link(link_name: str, name: str) -> tuple[Any, Any]:
+    """Poses (ticks, 3) and wheel speeds (ticks, 4) of ten seconds, through the firmware's twin."""
+    link: Any = open_link(link_name, ACSAR)
+    link.reset(Scene())
+    poses = []
+    wheels = []
+    for tick in range(round(10.0 * ACSAR.control_rate)):
+        link.write(encode(DRIVES[name](tick * ACSAR.period)))
+        link.advance(ACSAR.period)
+        poses.append(link.truth.pose)
+        wheels.append(link.body.wheel_speeds)
+    link.close()
+    return np.array(poses), np.array(wheels)
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_planar_and_bullet_do_the_same_for_ten_seconds(name: str) -> None:
+    poses, wheels = drive_link("bullet", name)
+    planar_poses, planar_wheels = drive_link("planar", name)
+    assert np.hypot(*(poses - planar_poses)[:, :2].T).max() < 0.03
+    headings = np.unwrap(poses[:, 2])
+    error = np.abs(headings - np.unwrap(planar_poses[:, 2])).max()
+    assert error < max(math.radians(2.0), 0.01 * np.abs(np.diff(headings)).sum())
+    assert np.abs(wheels - planar_wheels).max() < 0.05
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MEMORY)
-def test_memory_is_flat_over_resets(name: str, body: BulletBody) -> None:
-    process, rng = psutil.Process(), np.random.default_rng(0)
+def test_memory_is_flat_over_resets_to_other_worlds() -> None:
+    body = make_body("bullet", RobotConfig())
+    rng = np.random.default_rng(0)
 
     def reset_often(count: int) -> int:
         for _ in range(count):
-            body.reset(MEMORY[name](rng))
+            circles = np.column_stack([rng.uniform(1.0, 5.0, (40, 2)), np.full(40, 0.1)])
+            body.reset(Scene(world=World(circles)))
             body.step(AHEAD)
         gc.collect()
-        return int(process.memory_info().rss)
+        return int(psutil.Process().memory_info().rss)
 
     warm = reset_often(100)
     assert reset_often(400) - warm < 1_000_000
+    body.close()

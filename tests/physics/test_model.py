@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acsar_gym.config import BodyConfig, MotorConfig, RobotConfig
+from acsar_gym.config import BodyConfig, RobotConfig
 from acsar_gym.physics import GRAVITY, compute_physics, model
 from acsar_gym.physics.model import Velocity, loop_period, wheel_speed
 from acsar_gym.protocol import ZERO, Speeds
@@ -29,7 +27,8 @@ def slide(
 
 
 def test_spin_on_the_spot_is_the_closed_form() -> None:
-    closed_form = model.closed_form_yaw_rate(SPIN, RobotConfig())
+    config = RobotConfig()
+    closed_form = 8.0 * config.wheel_radius / config.wheel_separation / model.turn_factor(config)
     assert closed_form == pytest.approx(0.867, abs=1e-3)
     assert slide((0.0, 0.0, 0.0), SPIN, steps=2000)[2] == pytest.approx(closed_form, rel=1e-6)
 
@@ -51,14 +50,6 @@ def test_full_braking_obeys_the_friction_law() -> None:
 @pytest.mark.parametrize("kick", [(0.4, 0.0, 3.0), (0.5, 0.1, -2.0), (0.0, 0.3, 0.5)])
 def test_locked_wheels_bring_the_robot_to_rest_without_chatter(kick: Velocity) -> None:
     assert max(map(abs, slide(kick, ZERO, steps=200))) < 1e-6
-
-
-def test_motor_lag_is_first_order() -> None:
-    physics = compute_physics(RobotConfig(motor=MotorConfig(time_constant=0.1)))
-    wheels = ZERO
-    for _ in range(round(0.1 / DT)):
-        wheels = model.turn_wheels(wheels, (10.0,) * 4, physics)
-    assert wheels == pytest.approx([10.0 * (1.0 - math.exp(-1.0))] * 4, rel=1e-9)
 
 
 @pytest.mark.parametrize(

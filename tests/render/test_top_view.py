@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,17 +36,20 @@ from acsar_gym.worlds.movers import Mover, walk
 Point = tuple[float, float]
 
 
+def patch(image: RgbImage, view: View, place: Point, reach: int = 0) -> Any:
+    """The colours of the pixels at most `reach` from a place [m]."""
+    column, row = view.pixels(np.array([place]))[0].astype(int)
+    return image[row - reach : row + reach + 1, column - reach : column + reach + 1].astype(int)
+
+
 def colour(image: RgbImage, view: View, place: Point) -> tuple[int, ...]:
     """The colour of the picture at a place [m]."""
-    column, row = view.pixels(np.array([place]))[0].astype(int)
-    return tuple(image[row, column].tolist())
+    return tuple(patch(image, view, place)[0, 0].tolist())
 
 
 def near(image: RgbImage, view: View, place: Point, wanted: tuple[int, ...]) -> bool:
-    """Whether a pixel at a place, or next to it, has a colour; thin lines are blurred."""
-    column, row = view.pixels(np.array([place]))[0].astype(int)
-    patch = image[row - 1 : row + 2, column - 1 : column + 2].astype(int)
-    return bool((np.abs(patch - wanted).sum(axis=2) < 60).any())
+    """Whether a pixel at a place, or next to it, has a colour. Thin lines are blurred."""
+    return bool((np.abs(patch(image, view, place, 1) - wanted).sum(axis=2) < 60).any())
 
 
 @pytest.fixture
@@ -140,9 +144,6 @@ def test_pictures_are_saved_as_png(tmp_path: Path, top: TopView) -> None:
     image = top.draw(FRAME)
     save_picture(image, tmp_path / "B.PNG")
     assert np.array_equal(np.asarray(Pillow.open(tmp_path / "B.PNG")), image)
-
-
-@pytest.mark.parametrize(("name", "message"), [("a.jpg", "PNG"), ("none/a.png", "No such file")])
-def test_pictures_that_cannot_be_saved(tmp_path: Path, name: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=f"{name}: .*{message}"):
-        save_picture(np.zeros((2, 2, 3), np.uint8), tmp_path / name)
+    for name, message in (("a.jpg", "PNG"), ("none/a.png", "No such file")):
+        with pytest.raises(ConfigError, match=f"{name}: .*{message}"):
+            save_picture(image, tmp_path / name)

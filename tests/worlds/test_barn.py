@@ -36,7 +36,7 @@ def cells_of(points: Any) -> Any:
 
 
 def field_of(world: World) -> Any:
-    """30 x 30: which cells hold a cylinder; those of the corridor left out."""
+    """30 x 30: which cells hold a cylinder, without those of the corridor."""
     cells = cells_of(world.circles[:, :2])
     inside = cells[cells[:, 1] >= 0]
     field = np.zeros((30, 30), np.bool_)

@@ -124,7 +124,7 @@ def test_collisions_are_those_of_the_outline_and_its_inside(name: str, kind: str
     [(0.0, 0.0, False), (0.031, 0.0, True), (0.029, 0.0, False), (0.0, math.pi / 4, True)],
 )
 def test_a_wall_just_ahead_is_touched_exactly(x: float, theta: float, hit: bool) -> None:
-    """Half the length is 0.17 m; turned by 45 degrees the corner reaches 0.24 m."""
+    """Half the length is 0.17 m. Turned by 45 degrees the corner reaches 0.24 m."""
     around = make_surroundings(World((), [[0.2, -5.0, 0.2, 5.0]]), None, CONFIG)  # type: ignore[arg-type]
     assert footprint_collides(x, 0.0, math.cos(theta), math.sin(theta), 0, around) == hit
 

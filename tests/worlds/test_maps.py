@@ -97,6 +97,7 @@ def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
         ({"negate": 1}, [False, False, True, True, True]),
         ({"mode": "scale"}, [True, True, False, False, False]),
         ({"mode": "raw"}, [False, True, False, False, False]),
+        ({"mode": "raw", "negate": 1}, [False, True, False, False, False]),
     ],
 )
 def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool]) -> None:
@@ -164,13 +165,6 @@ def test_broken_and_hostile_pictures_are_refused(data: bytes, problem: str, tmp_
         loaded(tmp_path, data)
     assert problem in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_raw_maps_ignore_negate(tmp_path: Path) -> None:
-    levels = pgm([[255, 255, 255, 255], [0, 100, 100, 0]])
-    plain, negated = (loaded(tmp_path, levels, mode="raw", negate=negate) for negate in (0, 1))
-    assert negated.segments.tolist() == plain.segments.tolist()
-    assert as_set(plain.segments) == square(0.5, 0.0, 1.5, 0.5)
 
 
 def test_without_pillow_it_says_what_to_install(

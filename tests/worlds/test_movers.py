@@ -82,7 +82,7 @@ def keys_between(mover: Mover, since: float, until: float) -> bool:
 
 
 BOTH_WAYS = walk([[0, 0], [4, 0], [4, 2]], [1.0, 2.0], pauses=[0.5, 0.0, 1.0])
-"""0.5 s of rest, 4 s, 1 s, 1 s of rest; and back the same way."""
+"""0.5 s of rest, 4 s, 1 s, 1 s of rest, and back the same way."""
 AROUND = walk([[0, 0], [3, 0], [3, 4]], 1.0, repeat=Repeat.LOOP)
 """3 s, 4 s, and 5 s on to the first point."""
 ONCE = walk([[0, 0], [3, 0]], 1.0, repeat=Repeat.STOP)
@@ -158,10 +158,10 @@ def test_a_spline_goes_through_its_keys(tension: float) -> None:
 def test_each_episode_draws_its_own_part_of_the_spread() -> None:
     movers = [walk([[0, 0], [9, 0]], 1.0, phase=2.0, spread=5.0)] * 3
     rows = make_motions([movers]).movers[0]
-    offsets = [draw_offset(rows, m, key) for m in range(3) for key in (0.1, 0.6)]
+    offsets = [draw_offset(rows[m], m, key) for m in range(3) for key in (0.1, 0.6)]
     assert len(set(offsets)) == 6
     assert 2.0 <= min(offsets) < max(offsets) <= 7.0
-    assert draw_offset(rows, 0, 0.1) == offsets[0]
+    assert draw_offset(rows[0], 0, 0.1) == offsets[0]
     assert movers[0].position(0.0, (offsets[1] - 2.0) / 5.0) == pytest.approx((offsets[1], 0.0))
 
 

@@ -18,7 +18,7 @@ from acsar_gym.worlds.registry import register
 from acsar_gym.worlds.world import make_rectangle
 
 CORRIDORS = registry.REGISTERED.pop("corridors")
-"""The example; no other test shall know it."""
+"""The example. No other test shall know it."""
 GAP = World(
     segments=np.array(
         [[1.0, -1.0, 1.0, -0.2], [1.0, 0.2, 1.0, 1.0], *make_rectangle(-1, -1, 3, 1)]
@@ -29,7 +29,7 @@ GAP = World(
 
 @pytest.fixture(autouse=True)
 def registered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The example is registered; what a test registers is forgotten after it."""
+    """The example is registered. What a test registers is forgotten after it."""
     monkeypatch.setattr(registry, "REGISTERED", {"corridors": CORRIDORS})
 
 

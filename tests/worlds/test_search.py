@@ -1,4 +1,4 @@
-"""Shortest paths against lengths by hand and the published BARN worlds; paths to follow."""
+"""Shortest paths against lengths by hand and the published BARN worlds, and paths to follow."""
 
 from __future__ import annotations
 

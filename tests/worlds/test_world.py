@@ -1,4 +1,4 @@
-"""Worlds: what they refuse, that they never change; shapes and frames by hand."""
+"""Worlds: what they refuse, that they never change, and shapes and frames by hand."""
 
 from __future__ import annotations
 
