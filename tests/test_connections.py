@@ -6,13 +6,10 @@ Commands run under strace, which sees what C++ libraries and child processes do,
 from __future__ import annotations
 
 import ipaddress
-import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
-import urllib.request
 from pathlib import Path
 
 import pytest
@@ -114,26 +111,9 @@ def test_a_command_connects_to_nobody(name: str, trace: Path, home: Path) -> Non
     assert_silent(trace, home)
 
 
-def test_view_connects_to_nobody_nor_does_its_page(trace: Path, home: Path) -> None:
+def test_view_connects_to_nobody(trace: Path, home: Path) -> None:
     driven = command("evaluate", "--policy", "point_goal", "--link", "planar", "--episodes", "1")
     subprocess.run([*driven, "--record", "a.mcap"], check=True, capture_output=True)
-    traced = [*TRACE, "-o", str(trace), *command("view", "a.mcap", "--web", "--port", "0")]
-    with subprocess.Popen(
-        traced, stdout=subprocess.PIPE, text=True, start_new_session=True
-    ) as viewer:
-        try:
-            assert viewer.stdout is not None
-            found = re.search(r"http://127\.0\.0\.1:\d+", viewer.stdout.readline())
-            assert found is not None
-            page = read(found[0])
-        finally:
-            os.killpg(viewer.pid, signal.SIGINT)
-    assert re.findall(r"<(?:link|img|script)[^>]* (?:src|href)=\"(?:https?:)?//[^\"]*", page) == []
+    traced = [*TRACE, "-o", str(trace), *command("view", "a.mcap", "--save", "a.rrd")]
+    subprocess.run(traced, check=True, capture_output=True, timeout=TIMEOUT)
     assert_silent(trace, home)
-
-
-def read(address: str) -> str:
-    """The text of a page of this computer."""
-    with urllib.request.urlopen(address, timeout=TIMEOUT) as answer:  # noqa: S310 - http
-        text: str = answer.read().decode()
-    return text

@@ -72,11 +72,13 @@ class Counts(NamedTuple):
 
 
 MOST = {
+    "config": Counts(2, 0, 0, 1),
     "envs": Counts(7, 7, 1, 1),
     "lidar": Counts(3, 0, 0, 0),
     "links": Counts(0, 1, 0, 0),
-    "physics": Counts(0, 0, 1, 0),
-    "recording": Counts(0, 0, 0, 4),
+    "physics": Counts(10, 2, 4, 1),
+    "recording": Counts(0, 0, 0, 2),
+    "render": Counts(4, 0, 0, 0),
     "safety": Counts(0, 2, 1, 2),
     "sensors": Counts(7, 4, 0, 2),
     "sensors/map": Counts(0, 0, 1, 0),
@@ -86,14 +88,13 @@ MOST = {
     "tools/benchmark": Counts(16, 14, 3, 21),
     "tools/cli": Counts(6, 2, 2, 24),
     "tools/commission": Counts(6, 12, 0, 31),
-    "tools/datasets": Counts(6, 7, 0, 15),
     "tools/evaluation": Counts(30, 16, 7, 20),
     "tools/policies": Counts(28, 16, 1, 71),
     "tools/sysid": Counts(106, 51, 13, 197),
     "tools/training": Counts(25, 16, 4, 71),
-    "tools/view": Counts(10, 6, 0, 3),
     "vector": Counts(37, 16, 3, 20),
     "vector/kernel": Counts(73, 19, 34, 23),
+    "worlds": Counts(3, 5, 0, 2),
 }
 
 

@@ -1,8 +1,8 @@
 """Makes recordings of ROS 2 bags.
 
-A bag has no bytes of a wire. Its messages are written as a recording of this package: joint states,
-or else an odometry's twists, as feedback lines; twists of /cmd_vel, by the robot's kinematics, as
-command lines, each at the time at which the bag has it; and scans. So every tool reads it.
+A bag has no bytes of a wire. Its messages are written as a recording of this package, which every
+tool reads. Joint states, or else the twists of an odometry, become feedback lines. Twists of
+/cmd_vel become command lines, by the robot's kinematics. Each line has the time of its message.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ import math
 import shutil
 import tempfile
 import warnings
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +32,22 @@ from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Speeds, encode
 from acsar_gym.reading import open_file
-from acsar_gym.recording.bag_files import PACKED, BagFiles, BagMessage
+from acsar_gym.recording.bag_files import PACKED, BagFiles
 from acsar_gym.recording.blocks import MAGIC, find_block
-from acsar_gym.recording.events import Began, Event, Exchange, Scanned, Tick, Written
+from acsar_gym.recording.events import Began, Event
 from acsar_gym.recording.messages import load_typestore, make_header
+from acsar_gym.recording.recorded import UNKNOWN_TRUTH
+from acsar_gym.recording.tabulator import Tabulator
 from acsar_gym.recording.writer import RecordingWriter
 from acsar_gym.ros.joints import WRAPPING_RANGE, JointReader
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
-ODOMETRY = "nav_msgs/msg/Odometry"
 TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
-LASER_SCAN = "sensor_msgs/msg/LaserScan"
 ROLES = {
     "joint states": ((JOINT_STATE,), "/joint_states"),
-    "odometry": ((ODOMETRY,), "/odom"),
+    "odometry": (("nav_msgs/msg/Odometry",), "/odom"),
     "commands": (TWISTS, "/cmd_vel"),
-    "scans": ((LASER_SCAN,), "/scan"),
+    "scans": (("sensor_msgs/msg/LaserScan",), "/scan"),
 }
 """What is read of a bag: types, and the usual name of the topic."""
 IDENTIFYING_BYTES = 5_000_000  # a recording of this package has its first block within these
@@ -58,7 +57,7 @@ FASTEST_WHEEL = 99.99  # largest speed that a line can express, either sign [rad
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is a recording of this package; ConfigError if it can't be read."""
+    """Whether a file is a recording of this package. Raises ConfigError if it can't be read."""
     if path.is_dir() or path.suffix in (".db3", PACKED):
         return False
     with open_file(path) as file:
@@ -73,7 +72,7 @@ def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] 
     Args:
         path: A recording, or a bag: an MCAP file, a .db3 file, or a folder of rosbag2.
         robot: Robot of a bag.
-        topics: Topics of a bag that are used, or namespaces; all if empty.
+        topics: Topics of a bag that are used, or namespaces. All if empty.
 
     Raises:
         ConfigError: It is neither, or the bag has no wheel speeds.
@@ -95,113 +94,145 @@ def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] 
 def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[str] = ()) -> None:
     """Write a bag as a recording. Arguments and errors are those of `open_recording`."""
     files = BagFiles(path, target.parent / "unpacked")
-    survey: dict[str, BagMessage] = {}
-    for message in files.read_messages():
-        survey.setdefault(message.topic, message)
-    chosen = choose_topics(path, survey, topics, robot)
-    joints = chosen.get("joint states")
-    wraps = joints is None or check_positions(path, files, survey[joints], robot)
-    converter = BagConverter(robot, chosen, wraps=wraps)
+    surveys = survey_topics(files)
+    chosen = choose_topics(path, surveys, topics, robot)
+    joints = chosen.get("joint states", "")
+    wraps = not joints or surveys[joints].check_wraps(f"{path}: {joints}", robot)
+    converter = BagConverter(robot, wraps=wraps)
+    roles = {topic: role for role, topic in chosen.items()}
 
     header = make_header(robot, {"command": "bag", "bag": path.name, "topics": chosen})
-    wanted = set(chosen.values())
-    writer: RecordingWriter | None = None
-    events: list[Event] = []
+    header |= {"process": 0, "source": files.compute_hash()}
+    header["created"] = {"wall": min(surveys[topic].start for topic in roles), "monotonic": 0}
+    writer = RecordingWriter(target, robot, header)
+    tabulator = Tabulator()
     for message in files.read_messages():
-        if message.topic not in wanted:
-            continue
-        if writer is None:
-            header |= {"process": 0, "source": files.compute_hash()}
-            header["created"] = {"wall": message.time, "monotonic": 0}
-            writer = RecordingWriter(target, robot, header)
-        events += converter.take(message)
-        if len(events) >= BATCH:
-            writer.add(events)
-            writer.write_block()
-            events.clear()
-
-    if writer is None or not converter.has_feedback:
-        raise ConfigError(f"{path}: has no wheel speeds on {', '.join(chosen.values())}")
-    writer.add([*events, *converter.finish()])
+        content = None
+        if message.topic in roles and 0 <= message.time < MAX_TIME:
+            content = deserialize(message.data, message.kind)
+        if content is not None:
+            converter.take(roles[message.topic], message.time, content)
+        if len(converter.events) >= BATCH:
+            for head, tables in tabulator.add(converter.events):
+                writer.write(head, tables)
+            converter.events.clear()
+    for head, tables in tabulator.add(converter.finish(), is_last=True):
+        writer.write(head, tables)
     writer.close(0)
+
+    if not converter.periods:
+        raise ConfigError(f"{path}: has no wheel speeds on {', '.join(roles)}")
+    problems = list(files.problems)
     if converter.refused:
         counts = ", ".join(f"{count:,} {kind}" for kind, count in converter.refused.items())
-        text = f"{path}: messages of {joints} were left out: {counts}"
-        warnings.warn(escape_unprintable(text), RecordingWarning, stacklevel=3)
+        problems.append(f"{path}: messages of {joints} were left out: {counts}")
+    for problem in problems:
+        warnings.warn(escape_unprintable(problem), RecordingWarning, stacklevel=3)
 
 
-def check_positions(path: Path, files: BagFiles, joints: BagMessage, robot: RobotConfig) -> bool:
-    """Whether positions of joint states may wrap at full turns.
+class TopicSurvey:
+    """What is known of a topic before it is converted.
 
-    Raises:
-        ConfigError: There are only positions, and it is unknown how far wheels turned between them.
+    Attributes:
+        kind: Type of its messages.
+        start: When its first message was recorded [ns].
+        joints: Names of joints in the first message.
+        has_velocities: Whether a message has velocities of joints.
     """
-    content = deserialize(joints.data, JOINT_STATE)
-    if content is None or _has_velocities(content):
+
+    def __init__(self, kind: str, start: int) -> None:
+        self.kind = kind
+        self.start = start
+        self.joints: list[str] = []
+        self.has_velocities = False
+        self._largest = 0.0
+        self._times: list[float] = []
+
+    def add(self, time: int, content: Any) -> None:
+        """Note joint states, up to the first message with velocities."""
+        self.joints = self.joints or [str(name) for name in content.name]
+        self.has_velocities = has_velocities(content)
+        positions = [abs(position) for position in content.position if math.isfinite(position)]
+        self._largest = max(self._largest, *positions, 0.0)
+        self._times.append(time / 1e9)
+
+    def check_wraps(self, name: str, robot: RobotConfig) -> bool:
+        """Whether positions may wrap at full turns.
+
+        Raises:
+            ConfigError: It is unknown how far wheels turned between two positions.
+        """
+        if self.has_velocities or self._largest >= WRAPPING_RANGE:
+            return self.has_velocities
+        pause = float(np.median(np.diff(self._times))) if len(self._times) > 1 else 0.0
+        if pause * robot.max_wheel_speed > math.pi:
+            raise ConfigError(
+                f"{name} has positions without velocities, {1.0 / pause:.1f} times a "
+                f"second: a wheel at {robot.max_wheel_speed:g} rad/s turns by more than half a "
+                "turn meanwhile, so its speed is unknown"
+            )
         return True
-    largest = 0.0
-    times: list[float] = []
-    for message in files.read_messages():
-        content = deserialize(message.data, JOINT_STATE) if message.topic == joints.topic else None
-        if content is not None:
-            if _has_velocities(content):
-                return True
-            positions = [abs(position) for position in content.position if math.isfinite(position)]
-            largest = max(largest, *positions, 0.0)
-            times.append(message.time / 1e9)
-
-    if largest >= WRAPPING_RANGE:
-        return False
-    pause = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-    if pause * robot.max_wheel_speed > math.pi:
-        raise ConfigError(
-            f"{path}: {joints.topic} has positions without velocities, {1.0 / pause:.1f} times a "
-            f"second: a wheel at {robot.max_wheel_speed:g} rad/s turns by more than half a turn "
-            "meanwhile, so its speed is unknown"
-        )
-    return True
 
 
-def _has_velocities(content: Any) -> bool:
+def has_velocities(content: Any) -> bool:
+    """Whether joint states have velocities."""
     return len(content.velocity) > 0 and not np.isnan(content.velocity).all()
 
 
+def survey_topics(files: BagFiles) -> dict[str, TopicSurvey]:
+    """Return what is known of each topic of a bag."""
+    surveys: dict[str, TopicSurvey] = {}
+    for message in files.read_messages():
+        survey = surveys.setdefault(message.topic, TopicSurvey(message.kind, message.time))
+        if message.kind == JOINT_STATE and not survey.has_velocities:
+            content = deserialize(message.data, message.kind)
+            if content is not None:
+                survey.add(message.time, content)
+    return surveys
+
+
+def deserialize(message: bytes, kind: str) -> Any:
+    """Decode a message. None if it is broken."""
+    try:
+        return load_typestore().deserialize_cdr(message, kind)
+    except Exception:  # noqa: BLE001 - a broken message can make it raise anything
+        return None
+
+
 def choose_topics(
-    path: Path, survey: Mapping[str, BagMessage], wanted: Sequence[str], robot: RobotConfig
+    path: Path, surveys: Mapping[str, TopicSurvey], wanted: Sequence[str], robot: RobotConfig
 ) -> dict[str, str]:
     """Choose a bag's topic for each role of `ROLES` that it has.
 
     Args:
         path: The bag.
-        survey: The first message of each topic.
-        wanted: Topics or namespaces that the user named; all if empty.
+        surveys: What is known of each topic.
+        wanted: Topics or namespaces that the user named. All if empty.
         robot: Robot configuration.
 
     Raises:
         ConfigError: There are no wheel speeds, or several topics of a role.
     """
-    listing = ", ".join(f"{name} ({topic.kind})" for name, topic in sorted(survey.items()))
+    listing = ", ".join(f"{name} ({survey.kind})" for name, survey in sorted(surveys.items()))
     for name in wanted:
-        if not any(is_below(topic, name) for topic in survey):
+        if not any(is_below(topic, name) for topic in surveys):
             listing = escape_unprintable(listing, 300)
             raise ConfigError(f"{path}: has no topic {show_value(name)}: it has {listing}")
 
+    wheels = set(robot.ros_joints)
     chosen: dict[str, str] = {}
     for role, (kinds, usual) in ROLES.items():
         if role == "odometry" and chosen:
             continue
         names = [
             name
-            for name, topic in survey.items()
-            if topic.kind in kinds
+            for name, survey in surveys.items()
+            if survey.kind in kinds
             and (not wanted or any(is_below(name, prefix) for prefix in wanted))
-            and (role != "joint states" or find_wheels(_joint_names(topic), robot))
+            and (role != "joint states" or wheels <= {*survey.joints})
         ]
-        for usual_names in (
-            [n for n in names if n.endswith(usual)],
-            [n for n in names if n == usual],
-        ):
-            names = usual_names or names
+        names = [name for name in names if name.endswith(usual)] or names
+        names = [name for name in names if name == usual] or names
         if len(names) > 1:
             topics = escape_unprintable(", ".join(sorted(names)), 300)
             raise ConfigError(
@@ -212,14 +243,14 @@ def choose_topics(
             chosen[role] = names[0]
 
     if not {"joint states", "odometry"} & set(chosen):
-        joints = [joint for topic in survey.values() for joint in _joint_names(topic)]
-        holds = f"it has {listing}"
+        content = f"it has {listing}"
+        joints = [joint for survey in surveys.values() for joint in survey.joints]
         if joints:
             listing = escape_unprintable(", ".join(joints), 200)
-            holds = f"its joints are {listing}: write the wheels' into ros2.joints of --robot"
+            content = f"its joints are {listing}: write the wheels' into ros2.joints of --robot"
         raise ConfigError(
             f"{path}: has no wheel speeds, neither joint states of the robot's wheels nor an "
-            f"odometry: {escape_unprintable(holds, 300)}"
+            f"odometry: {escape_unprintable(content, 300)}"
         )
     return chosen
 
@@ -230,90 +261,63 @@ def is_below(topic: str, name: str) -> bool:
     return topic == plain or topic.startswith(f"{plain}/")
 
 
-def deserialize(message: bytes, kind: str) -> Any:
-    """Decode a message; None where it is broken."""
-    try:
-        return load_typestore().deserialize_cdr(message, kind)
-    except Exception:  # noqa: BLE001 - a broken message can make it raise anything
-        return None
-
-
-def _joint_names(message: BagMessage) -> list[str]:
-    state = deserialize(message.data, JOINT_STATE) if message.kind == JOINT_STATE else None
-    return [] if state is None else [str(name) for name in state.name]
-
-
-def find_wheels(names: Sequence[str], robot: RobotConfig) -> tuple[int, ...] | None:
-    """Find the robot's `ros_joints` of the wheels a, b, c, d. None if a joint is missing."""
-    joints = robot.ros_joints
-    return tuple(map(names.index, joints)) if {*joints} <= {*names} else None
-
-
 class BagConverter:
     """Makes events of a robot's messages, as a recorder gets them.
 
     Args:
         robot: Robot configuration.
-        topics: Topics by role.
         wraps: Whether positions of joints may wrap at full turns.
 
     Attributes:
-        has_feedback: Whether there were wheel speeds.
+        events: The events that were made.
+        periods: Number of control periods, which end with wheel speeds.
         refused: Number of joint states that can't be right, by reason.
     """
 
-    def __init__(self, robot: RobotConfig, topics: Mapping[str, str], *, wraps: bool) -> None:
-        self.has_feedback = False
-        self.refused: Counter[str] = Counter()
+    def __init__(self, robot: RobotConfig, *, wraps: bool) -> None:
+        self.events: list[Event] = []
+        self.periods = 0
         self._robot = robot
         self._odometry = Odometry.of(robot)
-        self._wraps = wraps
-        makers: dict[str, Callable[[Any, float], list[Event]]] = {
-            "joint states": self._take_joints,
-            "odometry": self._take_odometry,
-            "commands": self._take_command,
-            "scans": self._take_scan,
-        }
-        self._makers = {name: makers[role] for role, name in topics.items()}
-
-        self._first = -1
-        self._newest = self._last_feedback = 0.0
-        self._number = 0
-        self._sent: list[tuple[float, bytes]] = []
-        self._asked = (math.nan, math.nan)
-        self._command = (0.0, 0.0)
-        self._joints: JointReader | None = None
-        self._has_moved = False
+        self._joints = JointReader(robot.ros_joints, wraps=wraps)
+        self.refused = self._joints.refused
         self._spec = ray_spec(robot)
 
-    def take(self, message: BagMessage) -> list[Event]:
-        """Return the events of a message."""
-        content = deserialize(message.data, message.kind)
-        if content is None or not 0 <= message.time < MAX_TIME:
-            return []
-        events: list[Event] = []
+        self._first = -1
+        self._newest = 0.0
+        self._last_feedback = 0.0
+        self._sent: list[tuple[float, bytes]] = []
+        self._asked = (math.nan, math.nan)
+        self._has_moved = False
+
+    def take(self, role: str, time: int, content: Any) -> None:
+        """Take a message of a role, which was recorded at a time [ns]."""
         if self._first < 0:
-            self._first = message.time
-            events.append(Began(0.0, message.time, {}))
-        self._newest = max(self._newest, (message.time - self._first) / 1e9)
-        return events + self._makers[message.topic](content, self._newest)
+            self._first = time
+            self.events.append(Began(0.0, time, {}))
+        self._newest = max(self._newest, (time - self._first) / 1e9)
+        if role == "commands":
+            self._take_command(content)
+        elif role == "scans":
+            self._take_scan(content)
+        else:
+            speeds = self._read_speeds(role, content)
+            if speeds is not None:
+                self._end_period(speeds)
 
     def finish(self) -> list[Event]:
-        """Return what was sent after the last wheel speeds."""
-        if self._joints is not None:
-            self.refused += self._joints.refused
-        return [Written(tuple(self._sent))] if self._sent else []
+        """Return the remaining events, with what was sent after the last wheel speeds."""
+        return [*self.events, {"sent": self._sent}]
 
-    def _take_command(self, content: Any, stamp: float) -> list[Event]:
+    def _take_command(self, content: Any) -> None:
         twist = getattr(content, "twist", content)
         command = (float(twist.linear.x), float(twist.angular.z))
         if all(map(math.isfinite, command)):
-            self._asked = self._command = command
+            self._asked = command
             speeds = self._make_speeds(*command)
             letters = self._robot.wheels.motors
             line = encode(speeds if letters is None else letters.to_wire(speeds))
-            self._sent.append((stamp, line))
-        return []
+            self._sent.append((self._newest, line))
 
     def _make_speeds(self, linear: float, angular: float) -> Speeds:
         separation = self._robot.effective_separation
@@ -322,75 +326,66 @@ class BagConverter:
         )
         return sides[0], sides[1], sides[1], sides[0]
 
-    def _take_odometry(self, content: Any, stamp: float) -> list[Event]:
-        twist = content.twist.twist
-        measured = (float(twist.linear.x), float(twist.angular.z))
-        if not all(map(math.isfinite, measured)):
-            return []
-        return self._exchange(self._make_speeds(*measured), stamp)
-
-    def _take_joints(self, content: Any, stamp: float) -> list[Event]:
-        names = list(content.name)
-        if self._joints is None:
-            wheels = find_wheels(names, self._robot)
-            if wheels is None:
-                return []
-            self._joints = JointReader([names[wheel] for wheel in wheels], wraps=self._wraps)
+    def _read_speeds(self, role: str, content: Any) -> Speeds | None:
+        """Return the wheel speeds of a message. None if it is refused, or has none."""
+        if role == "odometry":
+            twist = content.twist.twist
+            measured = (float(twist.linear.x), float(twist.angular.z))
+            return self._make_speeds(*measured) if all(map(math.isfinite, measured)) else None
 
         # A joint_state_publisher that runs beside the robot's own publisher.
-        has_velocities = _has_velocities(content)
         has_position = bool(np.any(content.position))
-        if self._has_moved and not has_velocities and not has_position:
+        if self._has_moved and not has_position and not has_velocities(content):
             self.refused["with all positions zero"] += 1
-            return []
+            return None
         self._has_moved = self._has_moved or has_position
 
-        when = content.header.stamp.sec + content.header.stamp.nanosec / 1e9
-        if has_velocities or not when:
-            when = self._first / 1e9 + stamp
-        speeds = self._joints.read(names, content.position, content.velocity, when)
-        if speeds is None:
-            return []
-        if max(map(abs, speeds)) > FASTEST_WHEEL:
+        stamp = content.header.stamp
+        when = stamp.sec + stamp.nanosec / 1e9
+        if has_velocities(content) or not when:
+            when = self._first / 1e9 + self._newest
+        speeds = self._joints.read(list(content.name), content.position, content.velocity, when)
+        if speeds is not None and max(map(abs, speeds)) > FASTEST_WHEEL:
             self.refused["too fast"] += 1
-            return []
-        return self._exchange(speeds, stamp)
+            return None
+        return speeds
 
-    def _exchange(self, speeds: Speeds, stamp: float) -> list[Event]:
+    def _end_period(self, speeds: Speeds) -> None:
         """A feedback line, and the tick that it ends."""
-        self.has_feedback = True
+        stamp = self._newest
         self._odometry.update(speeds, stamp - self._last_feedback)
         self._last_feedback = stamp
         letters = self._robot.wheels.encoders
         line = encode(speeds if letters is None else letters.to_wire(speeds))
 
-        exchange = Exchange(
-            number=self._number,
-            stamp=stamp,
-            sent=tuple(self._sent),
-            received=((stamp, line),),
-            lateness=None,
-            truth=None,
+        sent = self._asked if math.isfinite(self._asked[0]) else (0.0, 0.0)
+        tick = (
+            self.periods,
+            stamp,
+            self._odometry.pose,
+            self._odometry.twist,
+            speeds,
+            self._odometry.wheel_positions,
+            self._asked,
+            sent,
+            0,
+            None,
+            0.0,
+            0,
         )
-        tick = Tick(
-            exchange=self._number,
-            stamp=stamp,
-            pose=self._odometry.pose,
-            twist=self._odometry.twist,
-            speeds=speeds,
-            angles=self._odometry.wheel_positions,
-            asked=self._asked,
-            sent=self._command,
-            reason=0,
-            lateness=None,
-            feedback_age=0.0,
-            refused=0,
+        exchange = (self.periods, stamp, len(self._sent), 1, None, *UNKNOWN_TRUTH)
+        self.events.append(
+            {
+                "exchanges": [exchange],
+                "sent": self._sent,
+                "received": [(stamp, line)],
+                "ticks": [tick],
+            }
         )
-        self._number += 1
+        self.periods += 1
         self._sent = []
-        return [exchange, tick]
 
-    def _take_scan(self, content: Any, stamp: float) -> list[Event]:
+    def _take_scan(self, content: Any) -> None:
         """A scan, sorted into the rays of the robot's LiDAR, and as it was measured."""
         scan = LaserScan(
             angle_min=float(content.angle_min),
@@ -400,14 +395,14 @@ class BagConverter:
             range_min=float(content.range_min),
             range_max=float(content.range_max),
             ranges=content.ranges,
-            stamp=stamp,
+            stamp=self._newest,
         )
         try:
             revolution = read_scan(scan, Mount(), "scan", timeout=math.inf)
         except LidarError:
-            return []
-        if not self._number:
-            return []
+            return
+        if not self.periods:
+            return
 
         spec = self._spec
         ranges = np.full(spec.rays, spec.reach)
@@ -415,4 +410,12 @@ class BagConverter:
         rays = np.floor(offsets / spec.step).astype(int)
         hits = (revolution.distances > 0.0) & (rays < spec.rays)
         np.minimum.at(ranges, rays[hits], revolution.distances[hits])
-        return [Scanned(self._number - 1, stamp, ranges, revolution)]
+        scan_row = (self.periods - 1, self._newest)
+        self.events.append(
+            {
+                "scans": [scan_row],
+                "ranges": [ranges],
+                "revolutions": [(*scan_row, len(revolution.times))],
+                "measurements": [revolution[:3]],
+            }
+        )

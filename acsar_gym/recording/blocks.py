@@ -19,14 +19,13 @@ from collections.abc import Iterator, Mapping
 from typing import IO, Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
 from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.lidar.scan import MAX_STAMP
 from acsar_gym.reading import parse_json
-from acsar_gym.recording.events import TABLES, Tables
+from acsar_gym.recording.events import TABLES, Table, Tables
 
 MAGIC = b"\x89MCAP0\r\n"  # the first and last bytes of an MCAP file
 NAME = "acsar_gym"
@@ -34,20 +33,19 @@ MEDIA_TYPE = "application/x-acsar-gym-block"
 FORMAT = 2
 
 MAX_BLOCK = 2**26  # longest accepted block, packed or not [bytes]
-MAX_RATIO = 100  # most unpacked bytes for each byte of the file; a robot at rest has 30
+MAX_RATIO = 100  # most unpacked bytes for each byte of the file (a robot at rest has 30)
 FREE_UNPACKED = 2**26  # bytes that may be unpacked from a file of any size
 MAX_DAMAGES = 100  # most damaged places of a file that is read
-MAX_OFFSET = 2**62  # largest offset of an episode, either sign [ns]; its times then fit 64 bits
+MAX_OFFSET = 2**62  # largest offset of an episode, either sign [ns] (its times then fit 64 bits)
 SEARCH_BYTES = 2**16  # bytes that are searched at once for the next block
 
-ATTACHMENT = 9  # opcode
 MARKER = b"".join(struct.pack("<I", len(text)) + text.encode() for text in (NAME, MEDIA_TYPE))
-_RECORD = struct.Struct("<BQ")  # opcode and length
-_TIMES = struct.Struct("<QQ")  # of an attachment [ns]
-_SIZE = struct.Struct("<Q")
-_CHECKSUM = struct.Struct("<I")
-_DATA_END = _RECORD.pack(15, 4) + bytes(4)
-_HEAD_SIZE = _RECORD.size + _TIMES.size
+RECORD_START = struct.Struct("<BQQQ")  # opcode, length, and two times of an attachment [ns]
+HEAD_START = RECORD_START.size + len(MARKER) + 8  # place of the head's line in its record
+LENGTH_START = 9  # a record's length counts the bytes from here on
+ATTACHMENT = 9  # opcode
+CHECKSUM = struct.Struct("<I")
+DATA_END = struct.pack("<BQI", 15, 4, 0)
 
 Bounded = Annotated[int, Field(ge=0, le=MAX_OFFSET)]
 
@@ -68,10 +66,10 @@ class Head(Section):
     """The line of JSON of a block."""
 
     model_config = ConfigDict(extra="ignore", strict=True)
-    before: int
+    before: int = 0
     """Checksum of the bytes of the file since the block before."""
     episode: int = -1
-    """Number of the episode; -1 for the first and last block of a file."""
+    """Number of the episode. -1 for the first and last block of a file."""
     start: Annotated[float, Field(ge=-MAX_STAMP, le=MAX_STAMP)] = 0.0
     offset: Annotated[int, Field(ge=-MAX_OFFSET, le=MAX_OFFSET)] = 0
     info: dict[str, Any] = Field(default_factory=dict)
@@ -108,25 +106,24 @@ def pack_block(head: Mapping[str, Any], tables: Tables) -> bytes:
     return line.encode() + b"".join(packed.values())
 
 
-def unpack_table(block: Block, name: str) -> NDArray[Any]:
-    """Return a table of a block; ConfigError if it isn't what the block declares."""
+def unpack_table(block: Block, name: str) -> Table:
+    """Return a table of a block. Raises ConfigError if it isn't what the block declares."""
     with require_extra("reading a recording", "record"):
         import zstandard  # noqa: PLC0415 - optional
 
-    sizes = block.head.tables
-    *shape, size = sizes[name]
-    names = list(sizes)
-    first = sum(sizes[earlier][-1] for earlier in names[: names.index(name)])
+    *shape, size = block.head.tables[name]
+    names = list(block.head.tables)
+    sizes = [sizes[-1] for sizes in block.head.tables.values()]
+    first = sum(sizes[: names.index(name)])
     packed = block.data[first : first + size]
-    kind = TABLES[name]
     try:
         # A frame states how long its content is. The decompressor believes it.
-        if zstandard.frame_content_size(packed) != math.prod(shape) * kind.itemsize:
+        if zstandard.frame_content_size(packed) != math.prod(shape) * TABLES[name].itemsize:
             raise ConfigError(f"is damaged: a table of another size than declared: {name}")
         data = zstandard.ZstdDecompressor().decompress(packed)
     except zstandard.ZstdError as error:
         raise ConfigError(f"is damaged: a table that can't be unpacked: {name}") from error
-    return np.frombuffer(data, kind).reshape(shape)
+    return np.frombuffer(data, TABLES[name]).reshape(shape)
 
 
 def iterate_blocks(file: IO[bytes], damages: list[str]) -> Iterator[Block]:
@@ -173,14 +170,14 @@ def has_end(file: IO[bytes]) -> bool:
 
 
 def find_block(file: IO[bytes], place: int, limit: float = math.inf) -> int:
-    """Return where the next record begins that may be a block; -1 if there is none."""
-    place += _HEAD_SIZE
+    """Return where the next record begins that may be a block. -1 if there is none."""
+    place += RECORD_START.size
     while place < limit:
         file.seek(place)
         data = file.read(SEARCH_BYTES)
         offset = data.find(MARKER)
         if offset >= 0:
-            return place + offset - _HEAD_SIZE
+            return place + offset - RECORD_START.size
         if len(data) < SEARCH_BYTES:
             break
         place += SEARCH_BYTES - len(MARKER) + 1
@@ -188,27 +185,25 @@ def find_block(file: IO[bytes], place: int, limit: float = math.inf) -> int:
 
 
 def read_block(file: IO[bytes], place: int) -> Block | None:
-    """Read the block at a place; None if it is damaged, cut, or something else."""
+    """Read the block at a place. None if it is damaged, cut, or something else."""
     file.seek(place)
-    record = file.read(_RECORD.size)
-    if len(record) < _RECORD.size:
+    start = file.read(HEAD_START)
+    if len(start) < HEAD_START:
         return None
-    opcode, length = _RECORD.unpack(record)
-    shortest = _TIMES.size + len(MARKER) + _SIZE.size + _CHECKSUM.size
-    if opcode != ATTACHMENT or not shortest <= length <= MAX_BLOCK:
+    opcode, length, *_ = RECORD_START.unpack(start[: RECORD_START.size])
+    remaining = length + LENGTH_START - HEAD_START
+    if opcode != ATTACHMENT or not CHECKSUM.size <= remaining <= MAX_BLOCK:
         return None
-
-    content = file.read(length)
-    checksum = _CHECKSUM.unpack(content[-_CHECKSUM.size :])[0] if len(content) == length else None
-    if checksum != zlib.crc32(content[: -_CHECKSUM.size]):
+    content = file.read(remaining)
+    checksum = zlib.crc32(content[: -CHECKSUM.size], zlib.crc32(start[LENGTH_START:]))
+    if len(content) < remaining or content[-CHECKSUM.size :] != CHECKSUM.pack(checksum):
         return None
-    head_size = shortest - _CHECKSUM.size
-    line, _, data = content[head_size : -_CHECKSUM.size].partition(b"\n")
+    line, _, data = content[: -CHECKSUM.size].partition(b"\n")
     return Block(place, parse_section(Head, parse_json(line.decode("ascii", "replace"))), data)
 
 
 def parse_section(kind: type[Head | Header], mapping: Any) -> Any:
-    """Parse what JSON holds; ConfigError if a field is missing or wrong."""
+    """Parse what JSON holds. Raises ConfigError if a field is missing or wrong."""
     if not isinstance(mapping, dict):
         raise ConfigError("is damaged: the beginning of a block is no mapping")
     try:
@@ -218,7 +213,7 @@ def parse_section(kind: type[Head | Header], mapping: Any) -> Any:
 
 
 def _count_bytes(block: Block) -> int:
-    """Return the size of a block's tables; ConfigError for an unknown or impossible table."""
+    """Return the size of a block's tables. Raises ConfigError for an unknown table."""
     count = 0
     for name, (*shape, _) in block.head.tables.items():
         if name not in TABLES or not shape:
@@ -238,10 +233,8 @@ def _compute_checksum(file: IO[bytes], begin: int, end: int) -> int:
 
 def _has_sound_index(file: IO[bytes], begin: int) -> bool:
     """Whether the index that follows the last block is what was written."""
-    end = file.seek(0, io.SEEK_END) - len(MAGIC) - _CHECKSUM.size
-    if end - begin < len(_DATA_END):
-        return False
-    summary = _compute_checksum(file, begin + len(_DATA_END), end)
-    checksum = file.read(_CHECKSUM.size)
     file.seek(begin)
-    return file.read(len(_DATA_END)) == _DATA_END and checksum == _CHECKSUM.pack(summary)
+    is_sound = file.read(len(DATA_END)) == DATA_END
+    end = file.seek(0, io.SEEK_END) - len(MAGIC) - CHECKSUM.size
+    checksum = _compute_checksum(file, begin + len(DATA_END), end)
+    return is_sound and file.read(CHECKSUM.size) == CHECKSUM.pack(checksum)

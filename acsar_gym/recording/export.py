@@ -9,24 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, require_extra, show_value
 from acsar_gym.reading import replace_file
-from acsar_gym.recording.reader import StoredEpisode, StoredTables, join_truth, read
+from acsar_gym.recording.events import Table, Tables, split_columns
+from acsar_gym.recording.reader import join_truth, read, split_pieces
 from acsar_gym.recording.types import Recording
 
 TABLE_FORMATS = ("parquet", "csv")
 EXPORTED = ("ticks", "wire", "steps", "scans", "movers")
-NAMES = {
-    "pose": ("x", "y", "theta"),
-    "twist": ("linear", "angular"),
-    "speeds": ("speed_a", "speed_b", "speed_c", "speed_d"),
-    "angles": ("angle_a", "angle_b", "angle_c", "angle_d"),
-    "asked": ("asked_linear", "asked_angular"),
-    "sent": ("sent_linear", "sent_angular"),
-}
-"""Names of the columns that a column with several numbers becomes."""
 TRUTH = ("true_x", "true_y", "true_theta")
 MOVER_STATE = ("x", "y", "x_rate", "y_rate", "radius")
 TableColumns = dict[str, Any]
@@ -72,11 +63,12 @@ def _write_tables(recording: Recording, to: str, folder: Path) -> list[Path]:
     with contextlib.ExitStack() as stack:
         for name, columns in iterate_tables(recording):
             table = pa.table(columns)
-            if name not in writers and len(table):
+            if not len(table):
+                continue
+            if name not in writers:
                 path = stack.enter_context(replace_file(folder / f"{name}.{to}"))
                 writers[name] = stack.enter_context(make_writer(path, table.schema))
-            if len(table):
-                writers[name].write_table(table)
+            writers[name].write_table(table)
     return [folder / f"{name}.{to}" for name in EXPORTED if name in writers]
 
 
@@ -105,11 +97,9 @@ def make_tables(recording: Recording) -> dict[str, TableColumns]:
 
 
 def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
-    """Yield names and rows of tables, in parts of moderate size; see `make_tables`."""
+    """Yield names and rows of tables, in parts of moderate size. See `make_tables`."""
     names: dict[str, list[str]] = {}
     for number, episode in enumerate(recording.episodes):
-        if not isinstance(episode, StoredEpisode):
-            raise ConfigError("only recordings that were read from a file are exported")
         for tables in episode.tables.split():
             for name, columns in _list_tables(tables):
                 stamps = columns["stamp"]
@@ -119,56 +109,40 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
                 yield name, {"episode": np.full(len(stamps), number), "time": times, **columns}
 
 
-def _list_tables(tables: StoredTables) -> Iterator[tuple[str, TableColumns]]:
+def _list_tables(tables: Tables) -> Iterator[tuple[str, TableColumns]]:
     """Yield names and columns of the exported tables."""
-    ticks = _list_columns(tables["ticks"])
-    yield "ticks", ticks | dict(zip(TRUTH, join_truth(tables).T, strict=True))
+    truth = dict(zip(TRUTH, join_truth(tables).T, strict=True))
+    yield "ticks", split_columns(tables["ticks"]) | truth
     yield "wire", _list_wire(tables)
-    steps = _list_columns(tables["steps"])
-    for name in ("action", "observation"):
-        steps |= _number_columns(name, tables[f"{name}s"])
-    yield "steps", steps
-    yield "scans", _list_columns(tables["scans"]) | _number_columns("range", tables["ranges"])
+    numbers = _number("action", tables["actions"]) | _number("observation", tables["observations"])
+    yield "steps", split_columns(tables["steps"]) | numbers
+    yield "scans", split_columns(tables["scans"]) | _number("range", tables["ranges"])
 
     # One row for each mover and control period.
     states = tables["mover_states"]
-    periods, count, numbers = states.shape
-    yield (
-        "movers",
-        {
-            "stamp": np.repeat(tables["movers"]["stamp"], count),
-            "mover": np.tile(np.arange(count), periods),
-            **dict(zip(MOVER_STATE, states.reshape(periods * count, numbers).T, strict=True)),
-        },
-    )
+    periods, count, size = states.shape
+    stamps = np.repeat(tables["movers"]["stamp"], count)
+    movers = {"stamp": stamps, "mover": np.tile(np.arange(count), periods)}
+    yield "movers", movers | dict(zip(MOVER_STATE, states.reshape(-1, size).T, strict=True))
 
 
-def _list_columns(table: NDArray[Any]) -> TableColumns:
-    """The columns of a table; a column with several numbers becomes several columns."""
-    columns: TableColumns = {}
-    for name in table.dtype.names or ():
-        values = table[name]
-        columns |= (
-            dict(zip(NAMES[name], values.T, strict=True)) if values.ndim > 1 else {name: values}
-        )
-    return {name: np.ascontiguousarray(values) for name, values in columns.items()}
-
-
-def _number_columns(name: str, table: NDArray[Any]) -> TableColumns:
+def _number(name: str, table: Table) -> TableColumns:
     """The columns of a table of plain numbers: action_0, action_1."""
-    columns = table.T if table.ndim > 1 else ()
-    return {f"{name}_{number}": column for number, column in enumerate(columns)}
+    return {f"{name}_{number}": column for number, column in enumerate(table.T)}
 
 
-def _list_wire(tables: StoredTables) -> TableColumns:
+def _list_wire(tables: Tables) -> TableColumns:
     """A row for each piece of bytes, in the order of time."""
-    sent, received = (tables.list_pieces(name) for name in ("sent", "received"))
-    stamps = np.concatenate([tables["sent"]["stamp"], tables["received"]["stamp"]])
-    directions = ["sent"] * len(sent) + ["received"] * len(received)
-    texts = [piece.decode("latin-1") for piece in (*sent, *received)]
-    order = np.argsort(stamps, kind="stable")
+    rows = [
+        (stamp, direction, piece.decode("latin-1"))
+        for direction in ("sent", "received")
+        for stamp, piece in zip(
+            tables[direction]["stamp"].tolist(), split_pieces(tables, direction), strict=True
+        )
+    ]
+    rows.sort(key=lambda row: row[0])
     return {
-        "stamp": stamps[order],
-        "direction": np.array(directions, dtype=object)[order],
-        "bytes": np.array(texts, dtype=object)[order],
+        "stamp": np.array([stamp for stamp, _, _ in rows], np.float64),
+        "direction": [direction for _, direction, _ in rows],
+        "bytes": [text for _, _, text in rows],
     }

@@ -8,7 +8,7 @@ The header, in the first block, is what is needed to read, repeat and align a re
 | `config`, `config_sha256` | the robot, and the hash of its whole config |
 | `versions` | of acsar_gym, python, numpy |
 | `process` | id of the process that records, which listens for an emergency stop on hardware |
-| `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment; |
+| `created` | `wall` clock [ns since 1970] and `monotonic` clock [ns] at the same moment. |
 | | the table `clocks` repeats the wall clock every second |
 | `about` | what the program states: `env` (id, kwargs), `task`, `observation` (names of its |
 | | numbers), `policy` (file, sha256), `link`, `command` |
@@ -20,12 +20,11 @@ many messages are one NumPy array with one row each, which costs about as much a
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 import platform
 import time
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from importlib import metadata
 from typing import Any, NamedTuple
@@ -36,24 +35,24 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
 from acsar_gym.errors import require_extra
+from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.protocol import WHEELS
 from acsar_gym.recording.blocks import FORMAT
-from acsar_gym.recording.events import Tables
-from acsar_gym.worlds.geometry import RaySpec
+from acsar_gym.recording.events import Table, Tables, split_columns
 
 Floats = NDArray[np.float64]
 
 NANOSECONDS = 1_000_000_000  # in a second
-BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame; odometry moves it
+BASE_FOOTPRINT = "base_footprint"  # frame on the ground below the base frame (odometry moves it)
 WORLD_FRAME = "world"  # frame of the ground truth
 JOINT_NAMES = [f"{wheel}_wheel_joint" for wheel in WHEELS]  # as in acsar.urdf
 SHOWN_RATE = 10.0  # how often a second reasons, lateness and movers are shown [Hz]
+NODE_NAME = "acsar_gym"  # what reports errors
+LOG_ERROR = 40  # level of a rcl_interfaces/msg/Log
 MARKER_HEIGHT = 1.7  # of the cylinder that shows a mover [m]
 MARKER_COLOUR = {"r": 0.56, "g": 0.27, "b": 0.68, "a": 0.8}
 CYLINDER = 3  # type of a marker
-NODE_NAME = "acsar_gym"  # what reports errors
-LOG_ERROR = 40  # level of a rcl_interfaces/msg/Log
 UNMEASURED_VARIANCE = 1e3
 """Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
 takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
@@ -127,7 +126,7 @@ def make_covariances(
 
 @cache
 def load_typestore() -> Any:
-    """Return the messages of ROS 2 Humble; MissingExtraError without rosbags."""
+    """Return the messages of ROS 2 Humble. Raises MissingExtraError without rosbags."""
     with require_extra("recording", "record"):
         from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415 - optional
     return get_typestore(Stores.ROS2_HUMBLE)
@@ -160,321 +159,260 @@ def make_blank(kind: str, **fixed: Any) -> Any:
     return store.types[kind](**fields | fixed)
 
 
-def get_field(message: Any, path: str) -> Any:
-    """Return a field such as "pose.position.x" or "markers.0.id"."""
-    for name in path.split(".") if path else ():
-        message = message[int(name)] if isinstance(message, list) else getattr(message, name)
-    return message
+def split_path(message: Any, path: str) -> tuple[Any, str]:
+    """Return the owner and the name of a field such as "pose.position.x" or "markers.0.id"."""
+    *parents, name = path.split(".")
+    for parent in parents:
+        message = message[int(parent)] if parent.isdigit() else getattr(message, parent)
+    return message, name
 
 
 def set_field(message: Any, path: str, value: Any) -> None:
-    """Set a field such as "pose.position.x" or "markers.0.id"."""
-    parent, _, name = path.rpartition(".")
-    setattr(get_field(message, parent), name, value)
+    """Set a field by its path."""
+    owner, name = split_path(message, path)
+    setattr(owner, name, value)
 
 
-def find_stamps(message: Any, path: str = "") -> Iterator[str]:
-    """Yield the paths of all times in a message that are named `stamp`."""
-    if isinstance(message, list):
-        fields = {str(number): entry for number, entry in enumerate(message)}
-    else:
-        fields = getattr(message, "__dict__", {})
-    for name, value in fields.items():
-        if name == "stamp":
-            yield f"{path}{name}"
-        else:
-            yield from find_stamps(value, f"{path}{name}.")
-
-
-def _name_times(paths: Iterable[str], times: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-    """The numbers of times [ns]."""
-    numbers: dict[str, NDArray[Any]] = {}
-    for path in paths:
-        numbers[f"{path}.sec"] = times // NANOSECONDS
-        numbers[f"{path}.nanosec"] = times % NANOSECONDS
-    return numbers
+def find_stamped(message: Any) -> Iterator[Any]:
+    """Yield all parts of a message that have a `stamp`."""
+    if hasattr(message, "stamp"):
+        yield message
+    fields = message if isinstance(message, list) else getattr(message, "__dict__", {}).values()
+    for field in fields:
+        yield from find_stamped(field)
 
 
 class Template:
-    """Makes messages that differ in their numbers only.
+    """Makes messages of one form: the bytes of one message, with other numbers at their places.
 
-    The place of each number is found by serializing the message once without it and once with it.
+    The place of a number is found by serializing the message without it and with it.
 
     Args:
-        kind: Type of the message.
-        fixed: Strings, lists and numbers that are the same in all messages, by path.
-        numbers: Numbers that differ, by path: a row for each message.
+        kind: Type of the messages.
+        fixed: Fields that are the same in all messages, by path.
+        numbers: Columns of numbers by path, with a row for each message.
     """
 
-    def __init__(
-        self, kind: str, fixed: Mapping[str, Any], numbers: Mapping[str, NDArray[Any]]
-    ) -> None:
-        store = load_typestore()
-        blank = make_blank(kind)
+    def __init__(self, kind: str, fixed: Mapping[str, Any], numbers: Mapping[str, Table]) -> None:
+        message = make_blank(kind)
         for path, value in fixed.items():
-            set_field(blank, path, value)
-        self._stamps = list(find_stamps(blank))
-        numbers = {**numbers, **_name_times(self._stamps, np.zeros(1, np.int64))}
-        plain = np.frombuffer(store.serialize_cdr(blank, kind), np.uint8)
+            set_field(message, path, value)
+        fields = [split_path(message, path) for path in numbers]
+        for (owner, name), column in zip(fields, numbers.values(), strict=True):
+            if column.ndim > 1:  # a list, which has a length from now on
+                setattr(owner, name, np.zeros(column.shape[1:], getattr(owner, name).dtype))
+        stamped = list(find_stamped(message))
+        fields += [(owner.stamp, name) for owner in stamped for name in ("sec", "nanosec")]
+        serialize = partial(load_typestore().serialize_cdr, message, kind)
+        self._plain = np.frombuffer(serialize(), np.uint8)
+        self._stamps = len(stamped)
+        self._places: list[tuple[str, int]] = []
 
-        offsets: list[int] = []
-        formats: list[Any] = []
-        for path, values in numbers.items():
+        columns = self._add_stamps(numbers, np.zeros(1, np.int64))
+        for (owner, name), column in zip(fields, columns, strict=True):
             # No byte of these is zero, as a float of any size and as an integer.
-            is_integer = values.dtype.kind == "i"
-            probe: Any = 0x01010101 if is_integer else 1.0 / 3.0
-            message = copy.deepcopy(blank)
-            shape = values.shape[1:]
-            set_field(
-                message, path, np.full_like(get_field(blank, path), probe) if shape else probe
-            )
-            changed = np.frombuffer(store.serialize_cdr(message, kind), np.uint8)
-            places = np.flatnonzero(plain != changed)
-            offsets.append(int(places[0]))
-            size = len(places) // int(np.prod(shape))
-            formats.append((f"<i{size}" if is_integer else f"<f{size}", shape))
+            is_integer = column.dtype.kind == "i"
+            blank = getattr(owner, name)
+            setattr(owner, name, blank + (0x01010101 if is_integer else 1.0 / 3.0))
+            changed = np.frombuffer(serialize(), np.uint8)
+            setattr(owner, name, blank)
+            places = np.flatnonzero(self._plain != changed)
+            size = len(places) // column[0].size
+            self._places.append((f"<{'i' if is_integer else 'f'}{size}", int(places[0])))
 
-        layout: Any = {"names": list(numbers), "formats": formats, "offsets": offsets}
-        layout["itemsize"] = len(plain)
-        self._plain = plain
-        self._row = np.dtype(layout)
+    def _add_stamps(self, numbers: Mapping[str, Table], times: NDArray[np.int64]) -> list[Table]:
+        return [*numbers.values(), *self._stamps * [times // NANOSECONDS, times % NANOSECONDS]]
 
-    def fill(self, times: NDArray[np.int64], numbers: Mapping[str, NDArray[Any]]) -> list[bytes]:
+    def fill(self, times: NDArray[np.int64], numbers: Mapping[str, Table]) -> list[bytes]:
         """Make one message for each time [ns], with a row of the numbers."""
-        octets = np.tile(self._plain, len(times))
-        rows = octets.view(self._row)
-        for path, values in {**numbers, **_name_times(self._stamps, times)}.items():
-            rows[path] = values
-        data = octets.tobytes()
-        size = len(self._plain)
-        return [data[place : place + size] for place in range(0, len(data), size)]
+        messages = np.tile(self._plain, (len(times), 1))
+        columns = self._add_stamps(numbers, times)
+        for (kind, place), column in zip(self._places, columns, strict=True):
+            data = np.ascontiguousarray(column, kind).view(np.uint8).reshape(len(times), -1)
+            messages[:, place : place + data.shape[1]] = data
+        return [message.tobytes() for message in messages]
 
 
-class Shown(NamedTuple):
-    """What is shown of a table: one message for each stamp."""
+POSE = {
+    "pose.pose.position.x": "x",
+    "pose.pose.position.y": "y",
+    "pose.pose.orientation.z": "sin",
+    "pose.pose.orientation.w": "cos",
+    "twist.twist.linear.x": "linear",
+    "twist.twist.angular.z": "angular",
+}
+TRANSFORM = {
+    "transforms.0.transform.translation.x": "x",
+    "transforms.0.transform.translation.y": "y",
+    "transforms.0.transform.rotation.z": "sin",
+    "transforms.0.transform.rotation.w": "cos",
+}
+JOINTS = {"position": "angles", "velocity": "speeds"}
+ASKED = {"linear.x": "asked_linear", "angular.z": "asked_angular"}
+SENT = {"linear.x": "sent_linear", "angular.z": "sent_angular"}
+WALL_TIME = {"time_ref.sec": "sec", "time_ref.nanosec": "nanosec"}
 
-    stamps: Floats
-    """When, on the link's clock [s]."""
-    numbers: Mapping[str, NDArray[Any]]
-    """Numbers of the messages by path, with a row for each stamp."""
-    fixed: Mapping[str, Any] = {}
-    """What is the same in all messages, by path."""
-    key: Hashable = None
-    """What messages of the same form have in common, such as the number of rays."""
+
+class Topic(NamedTuple):
+    """A topic: one message for each row of a table of `list_shown`, unless its numbers are NaN."""
+
+    kind: str
+    table: str
+    numbers: Mapping[str, str] | None = None
+    """Column of each number of the message, by its path. None if columns are named by paths."""
 
 
-Start = Sequence[float]
-"""Where an odometry begins in the frame of the world: x [m], y [m], theta [rad]."""
-Show = Callable[[Tables, RobotConfig, Start], Shown]
+TOPICS = {
+    "/odom": Topic("nav_msgs/msg/Odometry", "ticks", POSE),
+    "/tf": Topic("tf2_msgs/msg/TFMessage", "ticks", TRANSFORM),
+    "/tf_static": Topic("tf2_msgs/msg/TFMessage", "resets", {}),
+    "/joint_states": Topic("sensor_msgs/msg/JointState", "ticks", JOINTS),
+    "/cmd_vel": Topic("geometry_msgs/msg/Twist", "ticks", ASKED),
+    "/cmd_vel_sent": Topic("geometry_msgs/msg/Twist", "ticks", SENT),
+    "/safety_reason": Topic("std_msgs/msg/Float64", "worst", {"data": "reason"}),
+    "/lateness": Topic("std_msgs/msg/Float64", "worst", {"data": "lateness"}),
+    "/feedback_age": Topic("std_msgs/msg/Float64", "worst", {"data": "feedback_age"}),
+    "/scan": Topic("sensor_msgs/msg/LaserScan", "scans"),
+    "/truth": Topic("nav_msgs/msg/Odometry", "exchanges", POSE),
+    "/movers": Topic("visualization_msgs/msg/MarkerArray", "movers"),
+    "/observation": Topic("std_msgs/msg/Float32MultiArray", "steps", {"data": "observation"}),
+    "/action": Topic("std_msgs/msg/Float32MultiArray", "steps", {"data": "action"}),
+    "/time_reference": Topic("sensor_msgs/msg/TimeReference", "clocks", WALL_TIME),
+    "/rosout": Topic("rcl_interfaces/msg/Log", "faults", {}),
+}
+LATCHED = ("/tf_static",)
 
 
-def _name_pose(path: str, poses: NDArray[Any], place: str = "position") -> dict[str, Any]:
-    """The numbers of poses (n, 3): x [m], y [m], theta [rad]."""
-    half = poses[:, 2] / 2.0
-    turned = "orientation" if place == "position" else "rotation"
+def list_shown(
+    tables: Tables, head: Mapping[str, Any], config: RobotConfig
+) -> dict[str, dict[str, Table]]:
+    """Return columns of what is shown of a block, with a `stamp` of each row [s]."""
+    ticks = tables["ticks"]
+    clocks = tables["clocks"]
+    steps = {"observation": tables["observations"], "action": tables["actions"]}
+    ranges = tables["ranges"]
+    reach = config.lidar.max_range
+
+    shown = {
+        "ticks": {**_split_poses(ticks), "angles": ticks["angles"], "speeds": ticks["speeds"]},
+        "exchanges": _split_poses(tables["exchanges"]),
+        "steps": {"stamp": tables["steps"]["stamp"], **steps},
+        "scans": {
+            "stamp": tables["scans"]["stamp"],
+            "ranges": np.where(ranges >= reach, np.inf, ranges).astype(np.float32),
+        },
+        "clocks": {
+            "stamp": clocks["stamp"],
+            "sec": clocks["wall"] // NANOSECONDS,
+            "nanosec": clocks["wall"] % NANOSECONDS,
+        },
+        "resets": {"stamp": clocks["stamp"][clocks["stamp"] == head["start"]]},
+        "faults": {"stamp": tables["faults"]["stamp"][:1]},  # several in a block are one message
+    }
+
+    every = max(1, round(config.control_rate / SHOWN_RATE))
+    if len(ticks):
+        begins = np.arange(0, len(ticks), every)
+        names = ("reason", "lateness", "feedback_age")
+        worst = {name: np.fmax.reduceat(ticks[name].astype(float), begins) for name in names}
+        shown["worst"] = {"stamp": ticks["stamp"][begins], **worst}
+    if len(tables["movers"]):
+        rows = tables["movers"]["exchange"] % every == 0
+        states = tables["mover_states"][rows]
+        shown["movers"] = {"stamp": tables["movers"]["stamp"][rows], **_place_movers(states, head)}
+    return shown
+
+
+def _split_poses(table: Table) -> dict[str, Table]:
+    """Columns of a table with poses, and those of their quaternions."""
+    columns = split_columns(table)
+    half = columns["theta"] / 2.0
+    return {**columns, "sin": np.sin(half), "cos": np.cos(half)}
+
+
+def _place_movers(states: Table, head: Mapping[str, Any]) -> dict[str, Table]:
+    """The numbers of a marker for each mover, in the frame of the odometry."""
+    x, y, theta = head["info"].get("start", (0.0, 0.0, 0.0))
+    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
+    places = (states[:, :, :2] - (x, y)) @ turn
+    columns: dict[str, Table] = {}
+    for number in range(states.shape[1]):
+        for axis, name in enumerate("xy"):
+            columns[f"markers.{number}.pose.position.{name}"] = places[:, number, axis]
+            columns[f"markers.{number}.scale.{name}"] = 2.0 * states[:, number, 4]
+    return columns
+
+
+def fix_fields(tables: Tables, config: RobotConfig) -> dict[str, dict[str, Any]]:
+    """Return what is the same in all messages of a topic, by path."""
+    pose, twist = make_covariances()
+    odometry = {
+        "header.frame_id": config.odom_frame,
+        "child_frame_id": BASE_FOOTPRINT,
+        "pose.covariance": pose,
+        "twist.covariance": twist,
+    }
+    lidar = config.lidar
+    spec = ray_spec(config)
+    angles = spec.angles()
+    axle = (0.0, 0.0, config.wheel_radius)
+    mount = (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset)
+
     return {
-        f"{path}.{place}.x": poses[:, 0],
-        f"{path}.{place}.y": poses[:, 1],
-        f"{path}.{turned}.z": np.sin(half),
-        f"{path}.{turned}.w": np.cos(half),
+        "/odom": odometry,
+        "/truth": odometry | {"header.frame_id": WORLD_FRAME},
+        "/tf": {"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]},
+        "/tf_static": {
+            "transforms": [
+                _make_transform(BASE_FOOTPRINT, config.base_frame, axle, turn=1.0),
+                _make_transform(config.base_frame, config.lidar_frame, mount, turn=1.0),
+            ]
+        },
+        "/joint_states": {"name": JOINT_NAMES},
+        # All rays are as from the robot's pose at the stamp: no time passes between them.
+        "/scan": {
+            "header.frame_id": config.lidar_frame,
+            "angle_min": angles[0],
+            "angle_max": angles[-1],
+            "angle_increment": spec.step,
+            "scan_time": 1.0 / lidar.rate,
+            "range_min": lidar.min_range,
+            "range_max": lidar.max_range,
+        },
+        "/movers": {
+            "markers": [
+                _make_marker(number, config) for number in range(tables["mover_states"].shape[1])
+            ]
+        },
+        "/time_reference": {"source": "wall clock"},
+        "/rosout": {
+            "level": LOG_ERROR,
+            "name": NODE_NAME,
+            "msg": tables["faults_bytes"].tobytes().decode(),
+        },
     }
 
 
-def _name_twist(path: str, twists: NDArray[Any]) -> dict[str, Any]:
-    """The numbers of twists (n, 2): linear [m/s], angular [rad/s]."""
-    return {f"{path}linear.x": twists[:, 0], f"{path}angular.z": twists[:, 1]}
-
-
-def _show_odometry(name: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    """Show the poses of the ticks by odometry, or the true poses of the exchanges."""
-    table = tables[name][~np.isnan(tables[name]["pose"][:, 0])]
-    pose, twist = make_covariances()
-
-    return Shown(
-        stamps=table["stamp"],
-        numbers={
-            **_name_pose("pose.pose", table["pose"]),
-            **_name_twist("twist.twist.", table["twist"]),
-        },
-        fixed={
-            "header.frame_id": config.odom_frame if name == "ticks" else WORLD_FRAME,
-            "child_frame_id": BASE_FOOTPRINT,
-            "pose.covariance": pose,
-            "twist.covariance": twist,
-        },
-    )
-
-
-def _make_transform(parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0)) -> Any:
+def _make_transform(
+    parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0), turn: float = 0.0
+) -> Any:
     transform = make_blank("geometry_msgs/msg/TransformStamped", child_frame_id=child)
     transform.header.frame_id = parent
+    transform.transform.rotation.w = turn
     for axis, value in zip("xyz", place, strict=True):
         set_field(transform, f"transform.translation.{axis}", float(value))
     return transform
 
 
-def _show_frame(tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    return Shown(
-        stamps=tables["ticks"]["stamp"],
-        numbers=_name_pose("transforms.0.transform", tables["ticks"]["pose"], "translation"),
-        fixed={"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]},
-    )
-
-
-def _show_mounts(tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    """Base frame at the height of the axles, and LiDAR."""
-    lidar = (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset)
-    transforms = [
-        _make_transform(BASE_FOOTPRINT, config.base_frame, (0.0, 0.0, config.wheel_radius)),
-        _make_transform(config.base_frame, config.lidar_frame, lidar),
-    ]
-    for transform in transforms:
-        transform.transform.rotation.w = 1.0
-    return Shown(tables["resets"]["stamp"], {}, {"transforms": transforms})
-
-
-def _show_joints(tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    ticks = tables["ticks"]
-    zeros = np.zeros(len(WHEELS))
-    return Shown(
-        stamps=ticks["stamp"],
-        numbers={"position": ticks["angles"], "velocity": ticks["speeds"]},
-        fixed={"name": JOINT_NAMES, "position": zeros, "velocity": zeros},
-    )
-
-
-def _show_twist(column: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    ticks = tables["ticks"][~np.isnan(tables["ticks"][column][:, 0])]
-    return Shown(ticks["stamp"], _name_twist("", ticks[column]))
-
-
-def _show_scans(tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    """All rays are as from the robot's pose at the stamp: no time passes between them."""
-    lidar = config.lidar
-    ranges = tables["ranges"]
-    rays = ranges.shape[1]
-    spec = RaySpec(rays, lidar.max_range, lidar.field_of_view)
-    first = -lidar.field_of_view / 2.0
-
-    return Shown(
-        stamps=tables["scans"]["stamp"],
-        numbers={"ranges": np.where(ranges >= lidar.max_range, np.inf, ranges)},
-        fixed={
-            "header.frame_id": config.lidar_frame,
-            "angle_min": first,
-            "angle_max": first + (rays - 1) * spec.step,
-            "angle_increment": spec.step,
-            "scan_time": 1.0 / lidar.rate,
-            "range_min": lidar.min_range,
-            "range_max": lidar.max_range,
-            "ranges": np.zeros(rays, np.float32),
-        },
-        key=rays,
-    )
-
-
-def _count_skipped(config: RobotConfig) -> int:
-    """How many ticks there are to each message at SHOWN_RATE."""
-    return max(1, round(config.control_rate / SHOWN_RATE))
-
-
-def _show_worst(column: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    """Show the largest value of a tick's column in each tenth of a second."""
-    ticks = tables["ticks"]
-    begins = np.arange(0, len(ticks), _count_skipped(config))
-    worst = np.fmax.reduceat(ticks[column].astype(float), begins)
-    is_known = ~np.isnan(worst)
-    return Shown(ticks["stamp"][begins][is_known], {"data": worst[is_known]})
-
-
-def _show_numbers(name: str, tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    """Show the numbers that a policy got or gave in each step, but for a reset's action."""
-    table = tables[name]
-    is_shown = ~np.isnan(table).all(axis=1)  # an empty observation isn't
-    size = table.shape[1]
-    stamps = tables["steps"]["stamp"][is_shown]
-    return Shown(stamps, {"data": table[is_shown]}, {"data": np.zeros(size, np.float32)}, size)
-
-
-def _show_movers(tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    """A cylinder for each mover."""
-    x, y, theta = start
-    turn = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
-    rows = tables["movers"]["exchange"] % _count_skipped(config) == 0
-    states = tables["mover_states"][rows]
-    places = (states[:, :, :2] - (x, y)) @ turn
-
-    markers: list[Any] = []
-    numbers: dict[str, NDArray[Any]] = {}
-    for number in range(states.shape[1]):
-        marker = make_blank("visualization_msgs/msg/Marker", ns="movers", id=number, type=CYLINDER)
-        marker.header.frame_id = config.odom_frame
-        marker.color = make_blank("std_msgs/msg/ColorRGBA", **MARKER_COLOUR)
-        marker.pose.orientation.w = 1.0
-        marker.pose.position.z = MARKER_HEIGHT / 2.0
-        marker.scale.z = MARKER_HEIGHT
-        markers.append(marker)
-        for axis, name in enumerate("xy"):
-            numbers[f"markers.{number}.pose.position.{name}"] = places[:, number, axis]
-            numbers[f"markers.{number}.scale.{name}"] = 2.0 * states[:, number, 4]
-
-    stamps = tables["movers"]["stamp"][rows]
-    return Shown(stamps, numbers, {"markers": markers}, key=len(markers))
-
-
-def _show_clocks(tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    clocks = tables["clocks"]
-    numbers = _name_times(["time_ref"], clocks["wall"])
-    return Shown(clocks["stamp"], numbers, {"source": "wall clock"})
-
-
-def _show_faults(tables: Tables, config: RobotConfig, start: Start) -> Shown:
-    """What stopped the robot; several errors in one block are one line."""
-    text = tables["faults_bytes"].tobytes().decode()
-    fixed = {"level": LOG_ERROR, "name": NODE_NAME, "msg": text}
-    return Shown(tables["faults"]["stamp"][:1], {}, fixed, key=text)
-
-
-class Topic(NamedTuple):
-    """One topic of a recording."""
-
-    name: str
-    kind: str
-    """Type, such as "nav_msgs/msg/Odometry"."""
-    table: str
-    """The table of which its messages are made."""
-    show: Show
-    is_latched: bool = False
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        """Metadata of its channel."""
-        return {"offered_qos_profiles": LATCHED_QOS if self.is_latched else ""}
-
-
-FLOAT = "std_msgs/msg/Float64"
-FLOATS = "std_msgs/msg/Float32MultiArray"
-TWIST = "geometry_msgs/msg/Twist"
-ODOMETRY = "nav_msgs/msg/Odometry"
-TRANSFORMS = "tf2_msgs/msg/TFMessage"
-TOPICS = (
-    Topic("/odom", ODOMETRY, "ticks", partial(_show_odometry, "ticks")),
-    Topic("/tf", TRANSFORMS, "ticks", _show_frame),
-    Topic("/tf_static", TRANSFORMS, "resets", _show_mounts, is_latched=True),
-    Topic("/joint_states", "sensor_msgs/msg/JointState", "ticks", _show_joints),
-    Topic("/cmd_vel", TWIST, "ticks", partial(_show_twist, "asked")),
-    Topic("/cmd_vel_sent", TWIST, "ticks", partial(_show_twist, "sent")),
-    Topic("/safety_reason", FLOAT, "ticks", partial(_show_worst, "reason")),
-    Topic("/lateness", FLOAT, "ticks", partial(_show_worst, "lateness")),
-    Topic("/feedback_age", FLOAT, "ticks", partial(_show_worst, "feedback_age")),
-    Topic("/scan", "sensor_msgs/msg/LaserScan", "ranges", _show_scans),
-    Topic("/truth", ODOMETRY, "exchanges", partial(_show_odometry, "exchanges")),
-    Topic("/movers", "visualization_msgs/msg/MarkerArray", "mover_states", _show_movers),
-    Topic("/observation", FLOATS, "observations", partial(_show_numbers, "observations")),
-    Topic("/action", FLOATS, "actions", partial(_show_numbers, "actions")),
-    Topic("/time_reference", "sensor_msgs/msg/TimeReference", "clocks", _show_clocks),
-    Topic("/rosout", "rcl_interfaces/msg/Log", "faults", _show_faults),
-)
+def _make_marker(number: int, config: RobotConfig) -> Any:
+    """A cylinder for a mover."""
+    marker = make_blank("visualization_msgs/msg/Marker", ns="movers", id=number, type=CYLINDER)
+    marker.header.frame_id = config.odom_frame
+    marker.color = make_blank("std_msgs/msg/ColorRGBA", **MARKER_COLOUR)
+    marker.pose.orientation.w = 1.0
+    marker.pose.position.z = MARKER_HEIGHT / 2.0
+    marker.scale.z = MARKER_HEIGHT
+    return marker
 
 
 class Publisher:
@@ -485,26 +423,32 @@ class Publisher:
         self._templates: dict[Hashable, Template] = {}
 
     def make_messages(
-        self, tables: Tables, start: Sequence[float], offset: int
-    ) -> Iterator[tuple[Topic, int, bytes]]:
-        """Yield topic, time [ns] and content of each message.
+        self, head: Mapping[str, Any], tables: Tables
+    ) -> Iterator[tuple[str, int, bytes]]:
+        """Yield topic, time [ns] and content of the messages of a block. See `Sink.write`."""
+        shown = list_shown(tables, head, self._config)
+        for name, topic in TOPICS.items():
+            columns = dict(shown.get(topic.table, {"stamp": np.zeros(0)}))
+            stamps = columns.pop("stamp")
+            if not len(stamps):
+                continue
+            paths = topic.numbers
+            numbers = columns if paths is None else {p: columns[paths[p]] for p in paths}
+            for column in list(numbers.values())[:1]:
+                is_known = ~np.isnan(column.reshape(len(stamps), -1)).all(axis=1)
+                stamps = stamps[is_known]
+                numbers = {path: values[is_known] for path, values in numbers.items()}
+            if not len(stamps):
+                continue
 
-        Args:
-            tables: Some tables of an episode; `resets` has the stamp of its reset.
-            start: Where its odometry begins in the frame of the world.
-            offset: What to add to times of the link's clock for those of the file [ns].
-        """
-        for topic in TOPICS:
-            if topic.table not in tables:
-                continue
-            shown = topic.show(tables, self._config, start)
-            if not len(shown.stamps):
-                continue
-            times = np.rint(shown.stamps * 1e9).astype(np.int64) + offset
+            # Messages of one form differ in their numbers only.
+            shapes = [values.shape[1:] for values in numbers.values()]
+            form = (name, tables["faults_bytes"].tobytes(), *shapes)
+            if form not in self._templates:
+                fixed = fix_fields(tables, self._config).get(name, {})
+                self._templates[form] = Template(topic.kind, fixed, numbers)
+            times = np.rint(stamps * 1e9).astype(np.int64) + head["offset"]
             times = np.maximum(times, 0)
-            key = (topic.name, shown.key)
-            if key not in self._templates:
-                self._templates[key] = Template(topic.kind, shown.fixed, shown.numbers)
-            messages = self._templates[key].fill(times, shown.numbers)
-            for stamp, data in zip(times.tolist(), messages, strict=True):
-                yield topic, stamp, data
+            messages = self._templates[form].fill(times, numbers)
+            for moment, data in zip(times.tolist(), messages, strict=True):
+                yield name, moment, data

@@ -10,13 +10,13 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
 
 ROBOT_LENGTHS = ("wheel_radius", "wheel_separation", "wheelbase")
-LENGTH_TOLERANCE = 0.1  # lengths of one robot differ by less; a calibration changes them a little
+LENGTH_TOLERANCE = 0.1  # lengths of one robot differ by less (a calibration changes them a little)
 
 
 def find_difference(
     one: RobotConfig, other: RobotConfig, *, wire: bool
 ) -> tuple[str, str, str] | None:
-    """Return the first field in which two robots differ, and both values; None if they don't."""
+    """Return the first field in which two robots differ, and both values. None if they don't."""
     for field in ROBOT_LENGTHS:
         first = getattr(one, field)
         second = getattr(other, field)

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.links.base import Link, LinkWrapper
-from acsar_gym.recording.events import Exchange, Moved, Written
+from acsar_gym.links.base import Arrivals, Link, LinkWrapper
 from acsar_gym.wire import round_stamp
 from acsar_gym.worlds import Scene
 
 if TYPE_CHECKING:
     from acsar_gym.recording.recorder import Recorder
 
+UNKNOWN_TRUTH = ((math.nan,) * 3, (math.nan,) * 2, math.nan)
 REPLAY = "replay:"  # prefix of the device of a link that replays a file
 
 
@@ -68,41 +69,36 @@ class RecordedLink(LinkWrapper):
 
     def advance(self, period: float) -> bytes:
         """Advance the link and record the period."""
-        data = self.inner.advance(period)
-        self._now = self.inner.now()
-        exchange = Exchange(
-            number=self._recorder.number,
-            stamp=self._now,
-            sent=tuple(self._writes),
-            received=self._pieces(data),
-            lateness=self.inner.lateness,
-            truth=self.inner.truth,
-        )
+        link = self.inner
+        data = link.advance(period)
+        self._now = now = link.now()
+        pieces: Arrivals = tuple(link.arrivals)
+        if b"".join([piece for _, piece in pieces]) != data:
+            pieces = ((now, data),)
+
+        truth = link.truth
+        true_state = UNKNOWN_TRUTH if truth is None else (truth.pose, truth.twist, truth.contact)
+        number = self._recorder.number
+        counts = (len(self._writes), len(pieces))
+        rows: dict[str, Sequence[Any]] = {
+            "exchanges": [(number, now, *counts, link.lateness, *true_state)],
+            "sent": self._writes,
+            "received": pieces,
+        }
+        if truth is not None and truth.crowd is not None:
+            rows["movers"] = [(number, now, truth.crowd.hit, truth.crowd.intrusions)]
+            rows["mover_states"] = [truth.crowd.copy_states()]
+
         self._writes = []
-        self._recorder.add_exchange(exchange)
-        self._record_movers(exchange)
+        self._recorder.add_period(now, rows)
         return data
-
-    def _pieces(self, data: bytes) -> tuple[tuple[float, bytes], ...]:
-        """The pieces in which the bytes of a period arrived."""
-        pieces = tuple(self.inner.arrivals)
-        if b"".join([piece for _, piece in pieces]) == data:
-            return pieces
-        return ((self._now, data),)
-
-    def _record_movers(self, exchange: Exchange) -> None:
-        crowd = None if exchange.truth is None else exchange.truth.crowd
-        if crowd is not None:
-            states = crowd.copy_states()
-            moved = Moved(exchange.number, exchange.stamp, crowd.hit, crowd.intrusions, states)
-            self._recorder.add(moved)
 
     def now(self) -> float:
         """Return the time of the newest reset, write or period, on the link's clock [s]."""
         return self._now
 
     def close(self) -> None:
-        """Close the link; the recording goes on with the next reset."""
+        """Close the link. The recording goes on with the next reset."""
         try:
             self.inner.close()
         finally:
@@ -110,10 +106,9 @@ class RecordedLink(LinkWrapper):
 
     def _record_last_writes(self) -> None:
         """Record what was sent since the last period of the episode."""
-        writes = tuple(self._writes)
+        if self._writes and self._recorder.has_begun:
+            self._recorder.add({"sent": self._writes})
         self._writes = []
-        if writes and self._recorder.has_begun:
-            self._recorder.add(Written(writes))
 
     def __reduce__(self) -> tuple[Callable[[Link], Link], tuple[Link]]:
         """Copies aren't recorded: two robots can't write one file."""

@@ -9,9 +9,8 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -27,114 +26,48 @@ from acsar_gym.errors import (
 )
 from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.links.base import Link
-from acsar_gym.recording.events import Began, Clock, Event, Exchange, Fault, Scanned, Stepped, Tick
+from acsar_gym.recording.events import NO_ACTION, Began, Event, Rows, Tables
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.recorded import RecordedLink
+from acsar_gym.recording.tabulator import Sink, Tabulator
 from acsar_gym.recording.writer import RecordingWriter, check_target, next_number
 from acsar_gym.robot import DriveObserver, Robot, StepResult
 from acsar_gym.sensors.lidar import find_lidar
 
 QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
-WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s]; from then on it drops, too
+WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s] (then it drops, too)
 ROOM_POLL = 0.001  # how often a simulation looks whether the writer has caught up [s]
 BLOCK_PERIOD = 0.5  # how often events are written, so that they survive a crash [s]
 BLOCK_EVENTS = 300  # most events of a block: about a second of simulated time
 LARGEST = float(np.finfo(np.float32).max)  # largest number of an action
 HANG_WAIT = 1.0  # how often the end looks whether the writer makes progress [s]
-HANG_WAITS = 10  # a writer without progress in so many looks hangs; a suspended program loses one
+HANG_WAITS = 10  # a writer hangs after this number of looks (a suspended program loses one look)
 
-
-class WriterThread(threading.Thread):
-    """Writes events, about twice a second.
-
-    Attributes:
-        dropped: Number of events that were dropped.
-        pid: Id of the process that it belongs to.
-    """
-
-    def __init__(self, queue: deque[Event], writer: RecordingWriter) -> None:
-        super().__init__(name="acsar_gym recorder", daemon=True)
-        self.dropped = 0
-        self.pid = os.getpid()
-        self._queue = queue
-        self._writer = writer
-        self._error: Exception | None = None
-        self._hangs = False
-        self._is_ending = False
-        self._wake = threading.Event()
-
-    def run(self) -> None:
-        """Write until the end; after the first error nothing is written any more."""
-        try:
-            while not self._is_ending:
-                self._wake.wait(BLOCK_PERIOD)
-                self._wake.clear()
-                self._write_queue()
-            self._write_queue()
-            self._writer.close(self.dropped)
-        except Exception as error:  # noqa: BLE001 - reported by `problem`; the robot drives on
-            self._error = error
-            self._writer.abandon()
-            while not self._is_ending:
-                self._queue.clear()
-                self._wake.wait(BLOCK_PERIOD)
-
-    def hurry(self) -> None:
-        """Write now what waits: the queue is full."""
-        self._wake.set()
-
-    def _write_queue(self) -> None:
-        """Write the events that wait now."""
-        queue = self._queue
-        waiting = len(queue)
-        for written in range(0, waiting, BLOCK_EVENTS):
-            count = min(waiting - written, BLOCK_EVENTS)
-            self._writer.add([queue.popleft() for _ in range(count)])
-            self._writer.write_block()
-        self._writer.flush()
-
-    def finish(self) -> None:
-        """Write what waits, and end, however long it takes; a thread that hangs is abandoned."""
-        self._is_ending = True
-        self._wake.set()
-        looks = 0
-        while self.is_alive() and looks < HANG_WAITS:
-            written = self._writer.written
-            self.join(HANG_WAIT)
-            looks = looks + 1 if self._writer.written == written else 0
-        self._hangs = self.is_alive()
-
-    @property
-    def problem(self) -> str | None:
-        """Why writing has failed; None if it hasn't."""
-        if self._error is not None:
-            return f"can't be written: {explain_error(self._error)}; what follows isn't recorded"
-        if not self._hangs:
-            return None
-        hung = f"can't be written: writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
-        return f"{hung}; what waits is lost if the program ends now"
+SinkMaker = Callable[[RobotConfig, Mapping[str, Any]], Sink]
+"""Makes a sink of the robot's config and the header of the recording."""
 
 
 class Recorder(DriveObserver):
     """Records one robot to an MCAP file.
 
-    The control loop only appends to a queue, which a thread empties. If the queue is full, a real
-    robot's events are dropped and counted; a simulation waits at first. A file that can't be
-    written any more, as on a full disk, doesn't stop the robot: the next reset or `close` warns
-    once (RecordingWarning).
+    The control loop only appends to a queue, which a thread empties about twice a second. If the
+    queue is full, a real robot's events are dropped and counted. A simulation waits at first. A
+    file that can't be written any more, as on a full disk, doesn't stop the robot: the next reset
+    or `close` warns once (RecordingWarning).
 
     Attributes:
         dropped: Number of events that were dropped.
         number: Number of the episode's next exchange.
         has_begun: Whether there has been an episode.
-        problem: Why the recording isn't whole; None if it is.
+        problem: Why the recording isn't whole. None if it is.
 
     Args:
-        path: The file. An older recording of that name is kept under a number. None records
-            nothing, for recorders that keep events themselves.
-        about: What the header states about the recording, ready for JSON; see
+        path: The file. An older recording of that name is kept under a number. None writes no
+            file.
+        about: What the header states about the recording, ready for JSON. See
             `recording.messages`.
         capacity: Largest number of events that wait.
+        sinks: What else gets the blocks of the recording, such as a viewer.
 
     Example:
         >>> import tempfile
@@ -155,6 +88,7 @@ class Recorder(DriveObserver):
         path: str | os.PathLike[str] | None,
         about: Mapping[str, Any] | None = None,
         capacity: int = QUEUE_CAPACITY,
+        sinks: Sequence[SinkMaker] = (),
     ) -> None:
         self.path = None if path is None else Path(path)
         self.about = dict(about or {})
@@ -164,18 +98,26 @@ class Recorder(DriveObserver):
         self.problem: str | None = None
 
         self._capacity = capacity
+        self._sinks = sinks
         self._queue: deque[Event] = deque()
         self._info: Mapping[str, Any] = {}
-        self._writer: WriterThread | None = None
-        self._closed = False
         self._clock_due = 0.0
         self._waits = False
         self._is_copy = False
         self._scan_stamp = -math.inf
+        self._revolution: Any = None
+
+        self._thread: threading.Thread | None = None
+        self._process = 0
+        self._open_sinks: list[Sink] = []
+        self._wake = threading.Event()
+        self._is_ending = False
+        self._progress = 0
+        self._failure = ""
 
     @classmethod
     def of(cls, record: Any) -> Recorder | None:
-        """Return a recorder for a file's name; a Recorder or None as it is.
+        """Return a recorder for a file's name. A Recorder or None is returned as it is.
 
         Raises:
             ConfigError: It is anything else.
@@ -195,6 +137,7 @@ class Recorder(DriveObserver):
     def after_reset(self, robot: Robot) -> None:
         """Record the first scan of an episode."""
         self._scan_stamp = -math.inf
+        self._revolution = None
         self._add_scan(robot)
 
     def after_read(self, robot: Robot) -> None:
@@ -203,57 +146,72 @@ class Recorder(DriveObserver):
 
     def after_tick(self, robot: Robot, linear: float, angular: float) -> None:
         """Record a control period, and the scan if no step reads it for a while."""
-        tick = Tick(
-            exchange=self.number - 1,
-            stamp=robot.wire.stamp,
-            pose=robot.odometry.pose,
-            twist=robot.odometry.twist,
-            speeds=robot.speeds,
-            angles=robot.odometry.wheel_positions,
-            asked=(float(linear), float(angular)),
-            sent=robot.safety.sent,
-            reason=robot.safety.reason,
-            lateness=robot.lateness,
-            feedback_age=robot.feedback_age,
-            refused=robot.wire.decoder.refused.total(),
+        odometry = robot.odometry
+        tick = (
+            self.number - 1,
+            robot.wire.stamp,
+            odometry.pose,
+            odometry.twist,
+            robot.speeds,
+            odometry.wheel_positions,
+            (float(linear), float(angular)),
+            robot.safety.sent,
+            robot.safety.reason,
+            robot.lateness,
+            robot.feedback_age,
+            robot.wire.decoder.refused.total(),
         )
-        self.add(tick)
 
+        self.add({"ticks": [tick]})
         self._add_scan(robot, pause=1.0 / robot.config.lidar.rate - 0.5 * robot.config.period)
 
     def _add_scan(self, robot: Robot, pause: float = 0.0) -> None:
         """Record the scan, unless the newest recorded scan is younger than a pause [s]."""
         lidar = find_lidar(robot.sensors)
         stamp = robot.wire.stamp
-        if lidar is not None and stamp - self._scan_stamp > pause:
-            self._scan_stamp = stamp
-            scanned = Scanned(self.number - 1, stamp, lidar.scan.ranges, lidar.revolution)
-            self.add(scanned)
+        if lidar is None or stamp - self._scan_stamp <= pause:
+            return
+
+        self._scan_stamp = stamp
+        exchange = self.number - 1
+        rows: dict[str, Sequence[Any]] = {
+            "scans": [(exchange, stamp)],
+            "ranges": [lidar.scan.ranges],
+        }
+        revolution = lidar.revolution
+        if revolution is not self._revolution:
+            self._revolution = revolution
+            rows["revolutions"] = [(exchange, revolution.stamp, len(revolution.times))]
+            rows["measurements"] = [revolution[:3]]
+        self.add(rows)
 
     def after_step(
         self, robot: Robot, result: StepResult, action: NDArray[np.floating] | None = None
     ) -> None:
         """Record what a policy got, and what it did."""
-        if action is not None:
-            action = np.clip(action, -LARGEST, LARGEST).astype(np.float32)
-        step = Stepped(
-            step=result.step,
-            stamp=robot.link.now(),
-            observation=result.observation.copy(),
-            action=action,
-            reward=result.reward,
-            terminated=result.terminated,
-            truncated=result.truncated,
-            success=result.is_success,
+        if action is None:
+            action = NO_ACTION
+        step = (
+            result.step,
+            robot.link.now(),
+            result.reward,
+            result.terminated,
+            result.truncated,
+            result.is_success,
         )
-        self.add(step)
+        rows: dict[str, Sequence[Any]] = {
+            "steps": [step],
+            "observations": [result.observation.copy()],
+            "actions": [np.clip(action, -LARGEST, LARGEST).astype(np.float32)],
+        }
+        self.add(rows)
 
     def after_error(self, robot: Robot, error: Exception) -> None:
         """Record what stopped the robot."""
-        self.add(Fault(robot.link.now(), str(error)))
+        self.add({"faults": [(robot.link.now(), str(error).encode())]})
 
     def check(self, source: Path | None = None) -> None:
-        """Check, before a link opens, that the recording can begin or go on; writes nothing.
+        """Check, before a link opens, that the recording can begin or go on. Writes nothing.
 
         Args:
             source: The recording that the link replays.
@@ -261,13 +219,13 @@ class Recorder(DriveObserver):
         Raises:
             ConfigError: It has ended, would replace a file of another kind, or is `source`.
         """
-        if self._closed:
+        if self._is_ending:
             raise ConfigError(f"{self.path}: this recording has ended: make another one")
-        if self._writer is None and self.path is not None:
+        if self._thread is None and self.path is not None:
             check_target(self.path, source)
 
     def open(self, config: RobotConfig) -> None:
-        """Open the file and start the writer; idempotent.
+        """Open the file and start the writer. Idempotent.
 
         Raises:
             ConfigError: As for `check`, or the file can't be written.
@@ -277,18 +235,56 @@ class Recorder(DriveObserver):
             RecordingWarning: Writing has failed since, once.
         """
         self.check()
-        if self._writer is not None:
-            self._warn(self._writer)
+        if self._thread is not None:
+            self._warn()
             return
-        if self.path is None:
-            return
-        if self._is_copy and self.path.exists():
-            self.path = next_number(self.path)
-        writer = RecordingWriter(self.path, config, make_header(config, self.about))
-        self._writer = WriterThread(self._queue, writer)
-        self._writer.start()
+
+        header = make_header(config, self.about)
+        if self.path is not None:
+            if self._is_copy and self.path.exists():
+                self.path = next_number(self.path)
+            self._open_sinks.append(RecordingWriter(self.path, config, header))
+        self._open_sinks += [make(config, header) for make in self._sinks]
+        self._process = os.getpid()
+        self._thread = threading.Thread(
+            target=self._write_blocks, name="acsar_gym recorder", daemon=True
+        )
+        self._thread.start()
         _open_recorders.add(self)
         call_at_end(close_recorders)
+
+    def _write_blocks(self) -> None:
+        """Write about twice a second, until the end or an error. The robot drives on after it."""
+        tabulator = Tabulator()
+        is_last = False
+
+        try:
+            while not is_last:
+                self._wake.wait(BLOCK_PERIOD)
+                self._wake.clear()
+                is_last = self._is_ending
+                while events := self._take_events():
+                    self._write(tabulator.add(events))
+                for sink in self._open_sinks:
+                    sink.flush()
+            self._write(tabulator.add((), is_last=True))
+            for sink in self._open_sinks:
+                sink.close(self.dropped)
+        except Exception as error:  # noqa: BLE001 - reported with the next reset
+            self._failure = f"{explain_error(error)}; what follows isn't recorded"
+            for sink in self._open_sinks:
+                sink.abandon()
+
+    def _take_events(self) -> list[Event]:
+        """Take events that wait, as many as fit in a block."""
+        count = min(len(self._queue), BLOCK_EVENTS)
+        return [self._queue.popleft() for _ in range(count)]
+
+    def _write(self, blocks: Iterable[tuple[dict[str, Any], Tables]]) -> None:
+        for head, tables in blocks:
+            for sink in self._open_sinks:
+                sink.write(head, tables)
+            self._progress += 1
 
     def describe(self, info: Mapping[str, Any], **about: Any) -> None:
         """Describe the next episode.
@@ -307,7 +303,7 @@ class Recorder(DriveObserver):
         Args:
             stamp: Time of the reset on the link's clock [s].
             simulated: Whether time is simulated. A simulation waits for the writer.
-            stamped: Whether lines have the times at which they were measured; see `Link.stamped`.
+            stamped: Whether lines have the times at which they were measured. See `Link.stamped`.
         """
         self.number = 0
         self.has_begun = True
@@ -317,51 +313,59 @@ class Recorder(DriveObserver):
         self._queue.append(Began(stamp, time.time_ns(), info))
         self._info = {}
 
-    def add_exchange(self, event: Exchange) -> None:
-        """Record a control period of the wire, and once a second the clocks."""
-        self.number = event.number + 1
-        self.add(event)
-        if event.stamp >= self._clock_due:
-            self._clock_due = event.stamp + 1.0
-            self.add(Clock(event.stamp, time.time_ns()))
+    def add_period(self, stamp: float, rows: Rows) -> None:
+        """Record the rows of a control period of the wire, and once a second the clocks."""
+        self.number += 1
+        self.add(rows)
+        if stamp >= self._clock_due:
+            self._clock_due = stamp + 1.0
+            self.add({"clocks": [(stamp, time.time_ns())]})
 
-    def add(self, event: Event) -> None:
-        """Record an event, if there is room for it; a simulation waits for the writer first."""
+    def add(self, rows: Rows) -> None:
+        """Record rows, if there is room for them. A simulation waits for the writer first."""
         if len(self._queue) < self._capacity:
-            self._queue.append(event)
+            self._queue.append(rows)
             return
 
-        deadline = time.monotonic() + WRITER_TIMEOUT if self._waits else 0.0
+        deadline = time.monotonic() + WRITER_TIMEOUT
         while len(self._queue) >= self._capacity:
-            writer = self._writer
-            if writer is None or not writer.is_alive() or time.monotonic() >= deadline:
+            is_writing = self._thread is not None and self._thread.is_alive()
+            if not is_writing or not self._waits or time.monotonic() >= deadline:
                 self._waits = False  # a disk that doesn't answer
                 self.dropped += 1
-                if writer is not None:
-                    writer.dropped = self.dropped
                 return
-            writer.hurry()
+            self._wake.set()
             time.sleep(ROOM_POLL)
-        self._queue.append(event)
+        self._queue.append(rows)
 
     def close(self) -> None:
-        """Write what waits, and finish the file; idempotent.
+        """Write what waits, however long it takes, and finish the file. Idempotent.
 
         Warns:
             RecordingWarning: The file couldn't be written.
         """
-        writer = self._writer
-        self._writer = None
-        self._closed = self._closed or writer is not None
         _open_recorders.discard(self)
-        if writer is not None and writer.pid == os.getpid():
-            writer.finish()
-            self._warn(writer)
+        if self._is_ending or self._thread is None:
+            return
+        self._is_ending = True
+        if self._process != os.getpid():  # a fork has no writer
+            return
 
-    def _warn(self, writer: WriterThread) -> None:
-        problem = writer.problem
-        if problem is not None and self.problem is None:
-            self.problem = f"{self.path}: {problem}"
+        self._wake.set()
+        looks = 0
+        while self._thread.is_alive() and looks < HANG_WAITS:
+            progress = self._progress
+            self._thread.join(HANG_WAIT)
+            looks = looks + 1 if self._progress == progress else 0
+        if self._thread.is_alive():
+            hung = f"writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
+            self._failure = f"{hung}; what waits is lost if the program ends now"
+        self._warn()
+
+    def _warn(self) -> None:
+        """Warn once if writing has failed."""
+        if self._failure and self.problem is None:
+            self.problem = f"{self.path or 'viewer'}: can't be written: {self._failure}"
             warnings.warn(self.problem, RecordingWarning, stacklevel=3)
 
     def __reduce__(self) -> tuple[Callable[..., Recorder], tuple[Any, ...]]:
@@ -371,12 +375,7 @@ class Recorder(DriveObserver):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
 
@@ -390,7 +389,7 @@ _open_recorders: set[Recorder] = set()
 
 
 def close_recorders() -> None:
-    """Finish all recordings, for the end of the program; errors are ignored."""
+    """Finish all recordings, for the end of the program. Errors are ignored."""
     for recorder in list(_open_recorders):
         with contextlib.suppress(Exception):
             recorder.close()

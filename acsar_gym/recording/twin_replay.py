@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,22 +26,28 @@ class TwinReplay:
     wire: WireLog
     """The recorded bytes to the board, and those that the twin answered."""
     poses: Floats
-    """(n, 3): the twin's true pose at the times asked for: x [m], y [m], theta [rad, unwrapped];
-    it begins at the origin."""
+    """(n, 3): the twin's true pose at the requested times: x [m], y [m], theta [rad, unwrapped]. It
+    starts at the origin."""
 
 
 def replay_commands(
     config: RobotConfig, log: WireLog, stamps: Floats, *, body: str = "planar"
 ) -> TwinReplay:
-    """Send recorded command bytes to a twin at their times; its pose is told at `stamps` [s].
+    """Send recorded command bytes to a twin at their times.
 
-    The twin stands at the origin when the log begins. Its clock is set so that its feedback lines
-    arrive at the same phase as the recorded ones: that phase is a matter of when a board was
-    switched on, and no property of it. Where the log has no times of a wire, as of a robot in ROS,
-    commands are sent earlier and lines count earlier by the time that they take on the twin's.
+    The twin is at rest at the origin when the log starts. Its clock is set so that its feedback
+    lines arrive at the same phase as the recorded lines: that phase depends on when a board was
+    switched on. If the log has no times of a wire, as of a robot in ROS, commands are sent earlier
+    and lines count earlier by the time that they take on the twin's wire.
+
+    Args:
+        config: Robot configuration of the twin.
+        log: The recorded bytes.
+        stamps: Times at which the pose is wanted, (n,) [s].
+        body: Name of the twin's body.
 
     Raises:
-        ConfigError: the log holds no commands, or for another body.
+        ConfigError: The log holds no commands, or the body is unknown.
     """
     if not len(log.sent_stamps):
         raise ConfigError("the log holds no commands to replay")
@@ -50,36 +55,39 @@ def replay_commands(
     try:
         firmware = Firmware(config, robot)
         wire = config.wire_time if log.stamped else 0.0
-        origin = now = _find_beginning(config, firmware, log, wire)
-        last = float(log.got_stamps[-1]) + wire if len(log.got_stamps) else -math.inf
+        origin = _find_origin(config, firmware, log, wire)
+        now = origin
         pieces: list[tuple[float, bytes]] = []
         poses: list[tuple[float, float, float]] = []
 
-        # At equal times the pose comes first: it ends a tick, and the command begins the next one.
-        sent = zip((log.sent_stamps - wire).tolist(), itertools.repeat(1), log.sent, strict=False)
-        events: list[tuple[float, int, bytes | None]]
-        events = [*((stamp, 0, None) for stamp in stamps.tolist()), *sent, (last, 2, b"")]
-        for when, _, data in sorted(events, key=lambda event: event[:2]):
-            if when > now:
-                firmware.advance(when - now)
-                pieces += [(origin + stamp - wire, line) for stamp, line in firmware.arrived]
-                now = when
-            if data is None:
+        # At equal times the pose comes first: it ends a tick, and the command begins the next tick.
+        events: list[tuple[float, int, bytes]] = [(stamp, 0, b"") for stamp in stamps.tolist()]
+        sent = zip((log.sent_stamps - wire).tolist(), log.sent, strict=False)
+        events += [(stamp, 1, data) for stamp, data in sent]
+        events += [(stamp + wire, 2, b"") for stamp in log.got_stamps[-1:].tolist()]
+        for stamp, kind, data in sorted(events, key=lambda event: event[:2]):
+            if stamp > now:
+                firmware.advance(stamp - now)
+                pieces += [(origin + when - wire, line) for when, line in firmware.arrived]
+                now = stamp
+            if kind == 0:
                 poses.append(robot.truth.pose)
             else:
                 firmware.receive(data)
     finally:
         robot.close()
+
     track = np.array(poses, np.float64).reshape(-1, 3)
     track[:, 2] = np.unwrap(track[:, 2])
-    answered = np.array([stamp for stamp, _ in pieces]), tuple(data for _, data in pieces)
-    return TwinReplay(WireLog(log.sent_stamps, log.sent, *answered, stamped=log.stamped), track)
+    answered = WireLog.of((), pieces, stamped=log.stamped)
+    return TwinReplay(replace(answered, sent_stamps=log.sent_stamps, sent=log.sent), track)
 
 
-def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog, wire: float) -> float:
-    """The time of the log at which the twin's clock is zero [s]; lines count earlier by `wire` [s].
+def _find_origin(config: RobotConfig, firmware: Firmware, log: WireLog, wire: float) -> float:
+    """Return the time of the log at which the twin's clock is zero [s].
 
-    The latest one before the first command at which the phase of its lines is the recorded one.
+    It is the latest time before the first command at which the phase of the twin's lines, which
+    count earlier by `wire` [s], is the recorded phase.
     """
     period = 1.0 / config.feedback_rate
     first = float(log.sent_stamps[0]) - wire
@@ -87,17 +95,16 @@ def _find_beginning(config: RobotConfig, firmware: Firmware, log: WireLog, wire:
     if len(recorded) < 2:
         return first
     firmware.advance(4.0 * period)
-
     answered = np.array([stamp for stamp, _ in firmware.arrived]) - wire
     firmware.reset()
     if not len(answered):
         return first
+
     phases = [
         float(np.angle(np.exp(2j * math.pi * stamps / period).mean())) / (2.0 * math.pi) * period
         for stamps in (remove_jitter(recorded, period), answered)
     ]
-    ahead = math.fmod(first - (phases[0] - phases[1]), period)
-    ahead += period if ahead < 0.0 else 0.0
+    ahead = (first - (phases[0] - phases[1])) % period
     return first if min(ahead, period - ahead) < PHASE_TOLERANCE else first - ahead
 
 
@@ -115,18 +122,18 @@ def remove_jitter(stamps: Floats, period: float) -> Floats:
     step = float(np.median(np.diff(stamps)))
     if abs(step - period) > 0.1 * period:
         step = period
+
     half = JITTER_WINDOW // 2
-    lasted = stamps[half:] - stamps[:-half]  # some of its lines may be lost
-    step = float(np.median(lasted / np.maximum(1.0, np.rint(lasted / step))))
+    durations = stamps[half:] - stamps[:-half]  # some of its lines may be lost
+    step = float(np.median(durations / np.maximum(1.0, np.rint(durations / step))))
     turns = stamps / step
     waves = np.exp(2j * np.pi * turns)
-    means = [
-        uniform_filter1d(part, JITTER_WINDOW, mode="nearest") for part in (waves.real, waves.imag)
-    ]
-    phases = np.arctan2(means[1], means[0]) / (2.0 * np.pi)
-    off = turns - phases
-    off = (off - np.rint(off)) * step
-    ranked = rank_filter(off, JITTER_RANK, JITTER_WINDOW, mode="nearest")
-    late = off - uniform_filter1d(ranked, JITTER_WINDOW)
+    real = uniform_filter1d(waves.real, JITTER_WINDOW, mode="nearest")
+    imaginary = uniform_filter1d(waves.imag, JITTER_WINDOW, mode="nearest")
+    deviations = turns - np.arctan2(imaginary, real) / (2.0 * np.pi)
+    deviations = (deviations - np.rint(deviations)) * step
+
+    ranked = rank_filter(deviations, JITTER_RANK, JITTER_WINDOW, mode="nearest")
+    late = deviations - uniform_filter1d(ranked, JITTER_WINDOW)
     late = np.where(late < -PERIODIC_SHARE * step, late + step, late)  # by more than half a period
     return stamps - late if float(np.median(late)) < PERIODIC_SHARE * step else stamps

@@ -2,47 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.sections import WheelLetters
+from acsar_gym.errors import ConfigError
+from acsar_gym.links.base import Arrivals
 from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
-from acsar_gym.recording.events import EXCHANGES
-from acsar_gym.worlds.crowd import SEEN_NUMBERS
+from acsar_gym.recording.events import TABLES, Tables
 
 Floats = NDArray[np.float64]
-
-
-class Pieces(Sequence[bytes]):
-    """Many short pieces of bytes in one buffer, which takes a third of a tuple's memory.
-
-    Args:
-        data: All bytes in a row.
-        sizes: Number of bytes of each piece.
-    """
-
-    def __init__(self, data: bytes, sizes: NDArray[np.int64]) -> None:
-        self._data = data
-        self._ends = np.cumsum(sizes)
-
-    def __len__(self) -> int:
-        return len(self._ends)
-
-    @overload
-    def __getitem__(self, place: int) -> bytes: ...
-    @overload
-    def __getitem__(self, place: slice) -> tuple[bytes, ...]: ...
-    def __getitem__(self, place: int | slice) -> bytes | tuple[bytes, ...]:
-        if isinstance(place, slice):
-            return tuple(self[number] for number in range(*place.indices(len(self))))
-        number = range(len(self._ends))[place]
-        first = int(self._ends[number - 1]) if number else 0
-        return self._data[first : int(self._ends[number])]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +33,18 @@ class WireLog:
     """The bytes of each piece."""
     stamped: bool = False
     """Whether pieces are lines, at the times at which the robot measured them, and writes took no
-    time on a wire; see `Link.stamped`."""
+    time on a wire. See `Link.stamped`."""
+
+    @classmethod
+    def of(cls, sent: Arrivals, got: Arrivals, *, stamped: bool = False) -> WireLog:
+        """Make a log of stamped writes and pieces."""
+        return cls(
+            sent_stamps=np.array([stamp for stamp, _ in sent], np.float64),
+            sent=tuple(data for _, data in sent),
+            got_stamps=np.array([stamp for stamp, _ in got], np.float64),
+            got=tuple(data for _, data in got),
+            stamped=stamped,
+        )
 
     def commands(self, config: RobotConfig) -> tuple[Floats, Floats]:
         """Decode what was sent.
@@ -91,7 +76,7 @@ def _decode_lines(
     pieces: Sequence[bytes],
     letters: WheelLetters | None,
 ) -> tuple[Floats, Floats]:
-    """Decode pieces of a byte stream; each line gets the stamp of the piece that ends it."""
+    """Decode pieces of a byte stream. Each line gets the stamp of the piece that ends it."""
     decoder = Decoder()
     speeds = ZERO
     when: list[float] = []
@@ -130,9 +115,15 @@ class Revolutions:
     """(k,): number of the exchange after which each was read first."""
 
     @classmethod
-    def none(cls) -> Revolutions:
-        """Return no revolutions."""
-        return cls(np.zeros(0), (), np.zeros(0, np.int64))
+    def of(cls, tables: Tables) -> Revolutions:
+        """Take the revolutions of tables. Raises ConfigError if measurements are missing."""
+        table = tables["revolutions"]
+        measured = tables["measurements"]
+        if table["size"].sum() != len(measured):
+            raise ConfigError("is damaged: measurements of the LiDAR are missing")
+        turns = np.split(measured, np.cumsum(table["size"]))[: len(table)]
+        columns = [np.ascontiguousarray(turn.T) for turn in turns]
+        return cls(table["stamp"], columns, table["exchange"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,17 +142,23 @@ class Movers:
     """(k, movers, 5): x, y [m], their rates [m/s], and radius [m], in the frame of the world."""
 
     @classmethod
-    def none(cls) -> Movers:
-        """Return no movers."""
-        none = np.zeros(0)
-        return cls(np.zeros(0, np.int64), none, none, none, np.zeros((0, 0, SEEN_NUMBERS)))
+    def of(cls, tables: Tables) -> Movers:
+        """Take the movers of tables."""
+        table = tables["movers"]
+        return cls(
+            exchanges=table["exchange"],
+            stamps=table["stamp"],
+            hits=table["hit"],
+            intrusions=table["intrusions"],
+            states=tables["mover_states"],
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Episode:
     """One episode of a recording: from a reset to the next one. Angles in rad, n ticks.
 
-    Ticks are those after the reset; the exchanges in which the reset waits for standstill are in
+    Ticks are those after the reset. The exchanges in which the reset waits for standstill are in
     the wire log only.
     """
 
@@ -184,11 +181,11 @@ class Episode:
     reasons: NDArray[np.int64]
     """(n,): `safety.rules.Reason` of each tick."""
     lateness: Floats
-    """(n,): time from the tick's deadline to its end [s]; NaN in simulation."""
+    """(n,): time from the tick's deadline to its end [s]. NaN in simulation."""
     truth: Floats
-    """(n, 3): true pose in the frame of the world; NaN on hardware."""
+    """(n, 3): true pose in the frame of the world. NaN on hardware."""
     observations: NDArray[np.float32]
-    """(steps + 1, size): the first is the reset's; (0, 0) where no env was recorded."""
+    """(steps + 1, size): the first is the reset's. (0, 0) where no env was recorded."""
     actions: NDArray[np.float32]
     """(steps, 2): actions of the policy, in [-1, 1]."""
     rewards: Floats
@@ -198,23 +195,29 @@ class Episode:
     info: Mapping[str, Any] = field(default_factory=dict)
     """Seed, goal, start and number of the episode, as far as they are known."""
     offset: int = 0
-    """What to add to times of the link's clock for those of the file [ns]; those begin with the
+    """What to add to times of the link's clock for those of the file [ns]. Those begin with the
     wall clock at the first reset."""
     terminated: bool = False
-    """Whether the episode ended by success or failure; it was cut short otherwise."""
+    """Whether the episode ended by success or failure. It was cut short otherwise."""
     truncated: bool = False
     """Whether a fault ended it: the last step repeats the observation before."""
     step_stamps: Floats = field(default_factory=lambda: np.zeros(0))
     """(steps + 1,): when each observation was made, on the link's clock [s]."""
-    exchanges: NDArray[Any] = field(default_factory=lambda: np.zeros(0, EXCHANGES))
+    exchanges: NDArray[Any] = field(default_factory=lambda: np.zeros(0, TABLES["exchanges"]))
     """The control periods of the wire, those of the reset included, for replay: a table whose
-    columns are those of `recording.events.EXCHANGES`. Missing numbers were dropped."""
-    revolutions: Revolutions = field(default_factory=Revolutions.none)
-    """What the LiDAR measured; empty unless they were asked for."""
-    movers: Movers = field(default_factory=Movers.none)
-    """What moved around the robot; empty on hardware, and where nothing did."""
+    columns are those of `recording.events.TABLES`. Missing numbers were dropped."""
+    revolutions: Revolutions = field(default_factory=lambda: Revolutions.of(Tables()))
+    """What the LiDAR measured."""
+    movers: Movers = field(default_factory=lambda: Movers.of(Tables()))
+    """What moved around the robot. Empty on hardware, and where nothing did."""
     success: bool | None = None
-    """Whether the task was solved; None where no env was recorded."""
+    """Whether the task was solved. None where no env was recorded."""
+    tables: Tables = field(default_factory=Tables)
+    """The tables of which all this is made, by name. See `recording.events.TABLES`."""
+
+    def split(self) -> Iterator[Episode]:
+        """Yield the episode in parts of moderate size, with some of the rows of each table."""
+        yield self
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +225,7 @@ class Recording:
     """A recording, whose tables are read from the file when they are needed."""
 
     header: Mapping[str, Any]
-    """Robot, env, task, policy, versions and clocks; see `recording.messages`."""
+    """Robot, env, task, policy, versions and clocks. See `recording.messages`."""
     sha256: str
     """First 16 hex digits of the file's SHA-256."""
     config: RobotConfig
@@ -245,7 +248,7 @@ class Recording:
         return {self.sha256, *([source] if isinstance(source, str) else [])}
 
     def describe_damage(self) -> str:
-        """Describe in one line what is missing of a damaged file; empty if nothing is."""
+        """Describe in one line what is missing of a damaged file. Empty if nothing is."""
         if not self.damages:
             return ""
         places = f"{len(self.damages)} damaged place{'s' * (len(self.damages) != 1)} left out"

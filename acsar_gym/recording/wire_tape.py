@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from acsar_gym.config import RobotConfig
-from acsar_gym.recording.events import Event, Exchange, Written
+from acsar_gym.recording.events import Rows
 from acsar_gym.recording.recorder import Recorder
 from acsar_gym.recording.types import WireLog
 
@@ -30,20 +28,12 @@ class WireTape(Recorder):
         self._sent.clear()
         self._received.clear()
 
-    def add(self, event: Event) -> None:
+    def add(self, rows: Rows) -> None:
         """Keep what was sent and received."""
-        if isinstance(event, Exchange | Written):
-            self._sent += event.sent
-        if isinstance(event, Exchange):
-            self._received += event.received
+        self._sent += rows.get("sent", ())
+        self._received += rows.get("received", ())
 
     @property
     def log(self) -> WireLog:
         """What passed over the wire since the newest reset."""
-        return WireLog(
-            sent_stamps=np.array([stamp for stamp, _ in self._sent], np.float64),
-            sent=tuple(data for _, data in self._sent),
-            got_stamps=np.array([stamp for stamp, _ in self._received], np.float64),
-            got=tuple(data for _, data in self._received),
-            stamped=self._is_stamped,
-        )
+        return WireLog.of(self._sent, self._received, stamped=self._is_stamped)

@@ -18,7 +18,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recording, messages, read
-from acsar_gym.recording.bags import find_wheels, is_recording, open_recording
+from acsar_gym.recording.bags import is_recording, open_recording
 from acsar_gym.tools.sysid.identify import identify_files
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 
@@ -32,12 +32,12 @@ def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read_bag(path: Path, robot: RobotConfig = ROBOT, topics: tuple[str, ...] = ()) -> Recording:
-    return read(open_recording(path, robot, topics), revolutions=True)
+    return read(open_recording(path, robot, topics))
 
 
 def assert_same_drive(found: Recording, tape: Path, off: float = 0.011) -> None:
     """Speeds, way, commands and scans of a bag are those that were recorded."""
-    (one,), (every,) = found.episodes, read(tape, revolutions=True).episodes
+    (one,), (every,) = found.episodes, read(tape).episodes
     rows = len(one.stamps)
     assert len(every.stamps) - 1 <= rows <= len(every.stamps)
     np.testing.assert_allclose(one.speeds, every.speeds[-rows:], atol=off)
@@ -114,12 +114,6 @@ def test_wiring_of_the_robot_is_kept(tape: Path, tmp_path: Path) -> None:
     (episode,) = read_bag(bag, crossed).episodes
     _, speeds = episode.wire.feedback(crossed)
     np.testing.assert_allclose(speeds, episode.speeds, atol=0.006)
-
-
-def test_wheels_are_the_robots_joints() -> None:
-    robot = RobotConfig(ros2={"joints": {"left": "fr_wheel", "right": "j2"}})
-    assert find_wheels(["fr_wheel", "fl_wheel", "j2"], robot) == (2, 0, 0, 2)
-    assert find_wheels(["fr_wheel", "fl_wheel"], robot) is None
 
 
 def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:

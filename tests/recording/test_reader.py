@@ -28,7 +28,7 @@ from acsar_gym.recording.blocks import (
     iterate_blocks,
     pack_block,
 )
-from acsar_gym.recording.events import EXCHANGES
+from acsar_gym.recording.events import TABLES
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.reader import summarize, summary_lines
 from acsar_gym.recording.replay import ReplayLink
@@ -201,7 +201,7 @@ def make_block(tables: Tables | None = None, **head: Any) -> bytes:
 
 
 def make_exchanges(*stamps: float) -> Tables:
-    table = np.zeros(len(stamps), EXCHANGES)
+    table = np.zeros(len(stamps), TABLES["exchanges"])
     table["stamp"] = stamps
     return {"exchanges": table}
 

@@ -17,7 +17,6 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError, RecordingWarning
 from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.recording import Recorder, read, reader
-from acsar_gym.recording.events import Clock, Exchange
 from acsar_gym.recording.writer import RecordingWriter
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.worlds import Scene
@@ -37,19 +36,19 @@ def recorded_robot(path: Path | str) -> Robot:
 def test_a_full_queue_drops_and_counts_and_never_waits(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    goes, add = threading.Event(), RecordingWriter.add
+    goes, write = threading.Event(), RecordingWriter.write
 
-    def add_later(writer: RecordingWriter, events: Any) -> None:
+    def write_later(*arguments: Any) -> None:
         goes.wait(60.0)
-        add(writer, events)
+        write(*arguments)
 
-    monkeypatch.setattr(RecordingWriter, "add", add_later)
+    monkeypatch.setattr(RecordingWriter, "write", write_later)
     path = tmp_path / "tape.mcap"
     recorder = Recorder(path, capacity=100)
     recorder.open(CONFIG)
     recorder.begin(0.0, simulated=False)
     for stamp in range(1000):
-        recorder.add(Clock(float(stamp), 0))
+        recorder.add({"clocks": [(float(stamp), 0)]})
     assert recorder.dropped >= 1000 - 2 * 100
     goes.set()
     recorder.close()
@@ -67,9 +66,9 @@ def test_a_recording_with_a_gap_ends_its_replay_there(tmp_path: Path) -> None:
     recorder = Recorder(path)
     add = recorder.add
 
-    def forget(event: Any) -> None:
-        if not isinstance(event, Exchange) or event.number != 33:
-            add(event)
+    def forget(rows: Any) -> None:
+        if "exchanges" not in rows or rows["exchanges"][0][0] != 33:
+            add(rows)
 
     recorder.add = forget  # type: ignore[method-assign]
     with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:

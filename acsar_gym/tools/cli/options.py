@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import select
 import shlex
 import sys
@@ -14,7 +15,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from acsar_gym.errors import CancelledError, ConfigError, LinkError, escape_unprintable
+from acsar_gym.errors import (
+    CancelledError,
+    ConfigError,
+    LinkError,
+    escape_unprintable,
+    require_extra,
+)
 from acsar_gym.reading import check_replaceable, describe_origin
 from acsar_gym.streams import print_error
 
@@ -193,15 +200,25 @@ class RecordOptions:
     """Record to this MCAP file, for ROS 2, Foxglove and --link replay:FILE; an older recording of
     that name is kept, as FILE.1.mcap."""
 
+    view: bool = False
+    """Show the drive in Rerun's viewer while it goes on."""
+
     def recorder(self, command: str, **about: Any) -> Recorder | None:
-        """Make the recorder that is asked for."""
-        if self.record is None:
+        """Make the recorder for `record` and `view`; None if neither was given."""
+        if self.record is None and not self.view:
             return None
         from acsar_gym.recording import Recorder  # noqa: PLC0415
         from acsar_gym.recording.writer import check_target  # noqa: PLC0415
 
-        check_target(self.record)
-        made = Recorder(self.record, {"command": command, **about})
+        sinks = []
+        if self.record is not None:
+            check_target(self.record)
+        if self.view:
+            os.environ.setdefault("RUST_LOG", "off")  # Rerun would report a viewer that was closed
+            with require_extra("the viewer", "view"):
+                from acsar_gym.tools.view import show  # noqa: PLC0415
+            sinks.append(show.show_live())
+        made = Recorder(self.record, {"command": command, **about}, sinks=sinks)
         _command_recorders.append(made)
         return made
 

@@ -35,13 +35,13 @@ def write_dataset(
     env: str = "",
     goal: tuple[float, float] | None = None,
 ) -> tuple[Path, Demonstrations]:
-    """Make one data set of recordings, in one of DATASET_FORMATS; see `read_demonstrations`.
+    """Make one data set of recordings, in one of DATASET_FORMATS, as by `read_demonstrations`.
 
     Returns:
         The folder of the data set, and what it holds.
 
     Raises:
-        ConfigError: as `read_demonstrations`, or the folder can't be written.
+        ConfigError: As for `read_demonstrations`, or the folder can't be written.
         MissingExtraError: pyarrow or minari isn't installed.
     """
     data = read_demonstrations(paths, env, goal)

@@ -15,29 +15,30 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.reading import replace_file, write_atomically
-from acsar_gym.tools.datasets.demonstrations import DemonstrationEpisode, Demonstrations
+from acsar_gym.tools.datasets.demonstrations import Demonstrations
 
 FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 """How the format numbers its files."""
 FIRST_FILE = FILE_PATTERN.format(chunk_index=0, file_index=0)
-STATE, ENVIRONMENT_STATE = "observation.state", "observation.environment_state"
-"""Both are the whole observation: LeRobot's policies want the second one where no camera is."""
+FILE_INDICES = {"chunk_index": 0, "file_index": 0}
+STATE = "observation.state"
+ENVIRONMENT_STATE = "observation.environment_state"
+"""The same numbers as STATE: LeRobot's policies want this one if there is no camera."""
 QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
+TASK_INDEX = "__index_level_0__"  # how pandas names an index without a name
 Columns = dict[str, NDArray[Any]]
 
 
 def write_lerobot(data: Demonstrations, folder: Path, _name: str = "") -> Path:
-    """Write a data set into a folder; `LeRobotDataset(NAME, root=folder)` reads it.
+    """Write a data set into a folder. `LeRobotDataset(NAME, root=folder)` reads it.
 
     Raises:
-        ConfigError: a data set is there already.
+        ConfigError: A data set is there already.
         MissingExtraError: pyarrow isn't installed.
     """
     with require_extra("export to LeRobot", "export"):
         import pyarrow as pa  # noqa: PLC0415 - optional
         from pyarrow import parquet  # noqa: PLC0415 - optional
-    if (folder / "meta/info.json").exists():  # which is written last
-        raise ConfigError(f"{folder}: holds a data set already: give --out another folder")
 
     def write_table(path: str, columns: dict[str, Any], metadata: Any = None) -> None:
         target = folder / path
@@ -45,64 +46,70 @@ def write_lerobot(data: Demonstrations, folder: Path, _name: str = "") -> Path:
         with replace_file(target) as new:
             parquet.write_table(pa.table(columns).replace_schema_metadata(metadata), new)
 
-    frames, rows, first = [], [], 0
-    for number, episode in enumerate(data.episodes):
-        frames.append(_make_frames(episode, number, first, data.rate))
-        rows.append(_describe_episode(frames[-1], number, first, data.env_id))
-        first += len(episode.actions)
-    table = {key: np.concatenate([each[key] for each in frames]) for key in frames[0]}
+    if (folder / "meta/info.json").exists():  # which is written last
+        raise ConfigError(f"{folder}: holds a data set already: give --out another folder")
+    frames = _make_frames(data)
     columns = {
         key: pa.FixedSizeListArray.from_arrays(values.ravel(), values.shape[1])
         if values.ndim > 1
         else pa.array(values)
-        for key, values in table.items()
+        for key, values in frames.items()
     }
+    rows = _describe_episodes(data, frames)
     write_table(f"data/{FIRST_FILE}", columns)
     write_table(f"meta/episodes/{FIRST_FILE}", {key: [row[key] for row in rows] for key in rows[0]})
-    write_table("meta/tasks.parquet", *_make_tasks(data.env_id))
-    _write_json(folder / "meta/stats.json", _summarize(table))
-    _write_json(folder / "meta/info.json", _make_info(data, table))  # last: now it is whole
+    tasks = {"task_index": [0], TASK_INDEX: [data.env_id]}
+    write_table("meta/tasks.parquet", tasks, {"pandas": json.dumps(_describe_tasks())})
+    for name, content in (("stats", _summarize(frames)), ("info", _make_info(data, frames))):
+        text = json.dumps(content, indent=4)
+        write_atomically(folder / f"meta/{name}.json", text.encode())
     return folder
 
 
-def _make_frames(episode: DemonstrationEpisode, number: int, first: int, rate: float) -> Columns:
-    """The frames of an episode; `first` is the index of its first frame in the data set."""
-    count = len(episode.actions)
-    steps = np.arange(count)
+def _make_frames(data: Demonstrations) -> Columns:
+    """The frames of all episodes."""
+    episodes = data.episodes
+    lengths = [len(episode.actions) for episode in episodes]
+    steps = np.concatenate([np.arange(length) for length in lengths])
+    observations = np.concatenate([episode.observations[:-1] for episode in episodes])
+    rewards = np.concatenate([episode.rewards for episode in episodes])
+
     return {
-        STATE: episode.observations[:-1],
-        ENVIRONMENT_STATE: episode.observations[:-1],
-        "action": episode.actions,
-        "next.reward": episode.rewards.astype(np.float32),
-        "next.done": steps == count - 1,
-        "timestamp": steps / rate,
+        STATE: observations,
+        ENVIRONMENT_STATE: observations,
+        "action": np.concatenate([episode.actions for episode in episodes]),
+        "next.reward": rewards.astype(np.float32),
+        "next.done": steps == np.repeat(lengths, lengths) - 1,
+        "timestamp": steps / data.rate,
         "frame_index": steps,
-        "episode_index": np.full(count, number),
-        "index": first + steps,
-        "task_index": np.zeros(count, np.int64),
+        "episode_index": np.repeat(np.arange(len(lengths)), lengths),
+        "index": np.arange(len(steps)),
+        "task_index": np.zeros(len(steps), np.int64),
     }
 
 
-def _describe_episode(frames: Columns, number: int, first: int, task: str) -> dict[str, Any]:
-    """The row of an episode in meta/episodes."""
-    count = len(frames["index"])
-    statistics = {
-        f"stats/{key}/{name}": values
-        for key, numbers in _summarize(frames).items()
-        for name, values in numbers.items()
-    }
-    return {
-        "episode_index": number,
-        "tasks": [task],
-        "length": count,
-        "data/chunk_index": 0,
-        "data/file_index": 0,
-        "dataset_from_index": first,
-        "dataset_to_index": first + count,
-        **statistics,
-        "meta/episodes/chunk_index": 0,
-        "meta/episodes/file_index": 0,
-    }
+def _describe_episodes(data: Demonstrations, frames: Columns) -> list[dict[str, Any]]:
+    """The rows of meta/episodes."""
+    rows: list[dict[str, Any]] = []
+    first = 0
+    for number, episode in enumerate(data.episodes):
+        end = first + len(episode.actions)
+        own_frames = {key: values[first:end] for key, values in frames.items()}
+
+        row = {
+            "episode_index": number,
+            "tasks": [data.env_id],
+            "length": end - first,
+            "dataset_from_index": first,
+            "dataset_to_index": end,
+        }
+        for folder in ("data", "meta/episodes"):
+            row |= {f"{folder}/{name}": index for name, index in FILE_INDICES.items()}
+        for key, statistics in _summarize(own_frames).items():
+            row |= {f"stats/{key}/{name}": values for name, values in statistics.items()}
+        rows.append(row)
+        first = end
+    return rows
 
 
 def _summarize(frames: Columns) -> dict[str, dict[str, list[Any]]]:
@@ -110,32 +117,31 @@ def _summarize(frames: Columns) -> dict[str, dict[str, list[Any]]]:
     summary = {}
     for key, values in frames.items():
         rows = values.reshape(len(values), -1).astype(np.float64)
-        least, *quantiles, most = np.quantile(rows, [0.0, *QUANTILES, 1.0], axis=0)
-        summary[key] = {
-            "min": least.tolist(),
-            "max": most.tolist(),
-            "mean": rows.mean(axis=0).tolist(),
-            "std": rows.std(axis=0).tolist(),
-            "count": [len(rows)],
-            **{
-                f"q{round(100 * share):02d}": numbers.tolist()
-                for share, numbers in zip(QUANTILES, quantiles, strict=True)
-            },
+        statistics = {
+            "min": rows.min(axis=0),
+            "max": rows.max(axis=0),
+            "mean": rows.mean(axis=0),
+            "std": rows.std(axis=0),
+            "count": np.array([len(rows)]),
         }
+        for share, numbers in zip(QUANTILES, np.quantile(rows, QUANTILES, axis=0), strict=True):
+            statistics[f"q{round(100 * share):02d}"] = numbers
+        summary[key] = {name: numbers.tolist() for name, numbers in statistics.items()}
     return summary
 
 
-def _make_tasks(task: str) -> tuple[dict[str, Any], dict[str, str]]:
-    """Columns and metadata of meta/tasks.parquet, which pandas reads with the task as its index."""
-    index = "__index_level_0__"
-    kinds = {"task_index": ("int64", "int64"), index: ("unicode", "object")}
+def _describe_tasks() -> dict[str, Any]:
+    """Metadata of meta/tasks.parquet, which pandas reads with the task as its index."""
+
+    def describe(name: str | None, field: str, kind: str, numpy_kind: str) -> dict[str, Any]:
+        types = {"pandas_type": kind, "numpy_type": numpy_kind}
+        return {"name": name, "field_name": field, **types, "metadata": None}
+
     columns = [
-        {"name": None if key == index else key, "field_name": key, "pandas_type": kind}
-        | {"numpy_type": numpy_kind, "metadata": None}
-        for key, (kind, numpy_kind) in kinds.items()
+        describe("task_index", "task_index", "int64", "int64"),
+        describe(None, TASK_INDEX, "unicode", "object"),
     ]
-    about = {"index_columns": [index], "column_indexes": [], "columns": columns}
-    return {"task_index": [0], index: [task]}, {"pandas": json.dumps(about)}
+    return {"index_columns": [TASK_INDEX], "column_indexes": [], "columns": columns}
 
 
 def _make_info(data: Demonstrations, frames: Columns) -> dict[str, Any]:
@@ -149,6 +155,7 @@ def _make_info(data: Demonstrations, frames: Columns) -> dict[str, Any]:
         }
         for key, values in frames.items()
     }
+
     return {
         "codebase_version": "v3.0",
         "robot_type": data.robot or None,
@@ -164,7 +171,3 @@ def _make_info(data: Demonstrations, frames: Columns) -> dict[str, Any]:
         "video_path": None,
         "features": features,
     }
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    write_atomically(path, json.dumps(content, indent=4).encode())

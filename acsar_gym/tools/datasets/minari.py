@@ -20,32 +20,33 @@ def write_minari(data: Demonstrations, folder: Path, name: str) -> Path:
     """Write a data set into a folder in which Minari keeps them.
 
     Returns:
-        The data set's own folder; signs of the name that Minari doesn't take are replaced.
+        The data set's own folder. Characters of the name that Minari doesn't take are replaced.
 
     Raises:
-        ConfigError: a data set of this name is there already.
+        ConfigError: A data set of this name is there already.
         MissingExtraError: minari isn't installed.
     """
     with require_extra("export to Minari", "export"):
         import minari  # noqa: PLC0415 - optional
         from gymnasium.spaces import Box  # noqa: PLC0415 - only here
         from minari.data_collector import EpisodeBuffer  # noqa: PLC0415 - optional
+
     buffers = []
     for number, episode in enumerate(data.episodes):
-        ended = np.zeros(len(episode.actions), bool)
-        ended[-1] = True
+        is_end = np.arange(len(episode.actions)) == len(episode.actions) - 1
         buffer = EpisodeBuffer(
             id=number,
             seed=episode.seed,
             observations=episode.observations,
             actions=episode.actions,
             rewards=episode.rewards.tolist(),
-            terminations=(ended & episode.terminated).tolist(),
-            truncations=(ended & (not episode.terminated)).tolist(),
+            terminations=(is_end & episode.terminated).tolist(),
+            truncations=(is_end & (not episode.terminated)).tolist(),
         )
         buffers.append(buffer)
+
     name = "".join(c if c.isalnum() else "-" for c in name).strip("-") or "recording"
-    before = os.environ.get(MINARI_FOLDER)
+    user_folder = os.environ.get(MINARI_FOLDER)
     os.environ[MINARI_FOLDER] = str(folder.absolute())
     try:
         with warnings.catch_warnings():
@@ -63,6 +64,6 @@ def write_minari(data: Demonstrations, folder: Path, name: str) -> Path:
         raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error
     finally:
         os.environ.pop(MINARI_FOLDER)
-        if before is not None:
-            os.environ[MINARI_FOLDER] = before
+        if user_folder is not None:
+            os.environ[MINARI_FOLDER] = user_folder
     return folder / "acsar" / f"{name}-v0"

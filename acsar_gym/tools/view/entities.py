@@ -15,32 +15,25 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError, escape_unprintable
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.protocol import WHEELS
-from acsar_gym.recording.types import Floats
+from acsar_gym.recording.events import split_columns
+from acsar_gym.recording.reader import split_pieces
+from acsar_gym.recording.types import Episode, Floats
 from acsar_gym.render.top_view import MOVER_COLOUR, TRUTH_COLOUR
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tools.view.parts import Part
 from acsar_gym.worlds import World
 from acsar_gym.worlds.crowd import NO_HIT, PERSON_HIT, ROBOT_HIT
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.registry import parse_name
 from acsar_gym.worlds.search import footprint_radius
 
-APPLICATION = "acsar_gym"
-ROOT = "run"
-"""Entity of the run."""
-TRAILS = ("path", "truth", "seen")
-"""Entities of which all that was before the shown time is seen."""
-TIMELINE = "time"
-"""Time since the reset [s]."""
-BURST_GAP = 1.0
-"""The same thing again within this time is in the same line of the log [s]."""
-STEP_LENGTH = 0.01
-"""Length of the pieces of a path [m]."""
-MOVERS_PERIOD = 0.05
-"""Time between two places of a mover [s]."""
-SEEN_CELL = 0.05
-"""What a LiDAR has seen is remembered once for each square of this side [m]."""
-CIRCLE = np.stack([f(np.linspace(0.0, math.tau, 33)) for f in (np.cos, np.sin)], axis=1)
+ROOT = "run"  # entity of the run
+TRAILS = ("path", "truth", "seen")  # entities of which all that was before the shown time is seen
+TIMELINE = "time"  # time since the reset [s]
+BURST_GAP = 1.0  # the same thing again within this time is in the same line of the log [s]
+STEP_TICKS = 10  # ticks between two points of a path
+MOVERS_RATE = 20.0  # how often a second movers are shown [Hz]
+GOAL_RADIUS = 0.15  # of the ring around the goal [m]
+CIRCLE = np.exp(1j * np.linspace(0.0, math.tau, 33))
 COLOURS = {
     "measured": (217, 100, 10),
     "sent": (60, 130, 240),
@@ -49,14 +42,27 @@ COLOURS = {
     "truth": TRUTH_COLOUR,
     "scan": (20, 190, 190),
     "seen": (120, 130, 140),
-    "obstacles": (200, 90, 80),
-    "route": (26, 143, 90),
+    "world/obstacles": (200, 90, 80),
+    "world/route": (26, 143, 90),
     "goal": (26, 170, 100),
     "movers": MOVER_COLOUR,
+    "robot/footprint": (60, 130, 240),
 }
+SCALARS = {
+    "command/linear/asked": "asked_linear",
+    "command/linear/sent": "sent_linear",
+    "command/linear/measured": "linear",
+    "command/angular/asked": "asked_angular",
+    "command/angular/sent": "sent_angular",
+    "command/angular/measured": "angular",
+    **{
+        f"wheels/{wheel}/measured": f"speed_{letter}"
+        for wheel, letter in zip(WHEELS, "abcd", strict=True)
+    },
+}
+"""Entities of plots, and the columns of ticks that they show."""
 HITS = {ROBOT_HIT: "runs into a mover", PERSON_HIT: "a mover runs into it"}
-"""In words for the log."""
-REASONS = {
+REASONS: Mapping[int, tuple[str, str, tuple[int, int, int]]] = {
     Reason.NONE: ("sent as asked", "INFO", (70, 110, 80)),
     Reason.LIMITS: ("limits of speed or acceleration", "INFO", (242, 207, 102)),
     Reason.GEOFENCE: ("outside the geofence: held", "WARN", (155, 107, 211)),
@@ -64,10 +70,14 @@ REASONS = {
     Reason.EMERGENCY_STOP: ("emergency stop: held", "ERROR", (200, 30, 43)),
 }
 """In words, level in the log, and colour."""
+Points = NDArray[np.complexfloating[Any, Any]]  # x + iy [m]
+UNKNOWN_REASON = ("unknown", "INFO", (0, 0, 0))
+Line = tuple[float, str, str]
+"""A line of the log: time [s], text, level."""
 
 
 class EpisodeLogger:
-    """Writes an episode into a recording of Rerun.
+    """Writes an episode into a recording of Rerun, part by part.
 
     Args:
         stream: The recording of Rerun.
@@ -81,24 +91,26 @@ class EpisodeLogger:
         self._stream = stream
         self._config = config
         self._header = header
-        self._begun = False
-        self._ends: dict[str, Floats] = {}
-        self._last = {"reason": -1.0, "contact": 0.0, "hit": NO_HIT, "mark": -1.0}
-        self._seen = np.zeros(0, np.complex128)
+        self._has_begun = False
+        self._ends: dict[str, Points] = {}
+        self._last = {"reason": -1.0, "contact": 0.0, "hit": NO_HIT, "second": -1.0}
 
-    def log(self, part: Part) -> None:
-        """Write a part."""
-        if not self._begun:
-            self._begun = True
+    def log(self, part: Episode) -> None:
+        """Write a part, which has some of the rows of an episode's tables."""
+        if not self._has_begun:
+            self._has_begun = True
             self._log_beginning(part)
         self._log_ticks(part)
         self._log_scans(part)
         self._log_movers(part)
-        self._send_text(sorted(self._list_lines(part)))
+        self.log_lines(sorted(self._list_lines(part)))
 
-    def log_text(self, time: float, text: str, level: str = "INFO") -> None:
-        """Write a line of the log."""
-        self._send_text([(time, text, level)])
+    def log_lines(self, lines: list[Line]) -> None:
+        """Write lines of the log."""
+        times = np.array([time for time, _, _ in lines], np.float64)
+        texts = [escape_unprintable(text) for _, text, _ in lines]
+        levels = [level for _, _, level in lines]
+        self._send("log", times, rr.TextLog.columns(text=texts, level=levels))
 
     def _send(self, entity: str, times: Floats, columns: Any) -> None:
         if len(times):
@@ -108,216 +120,214 @@ class EpisodeLogger:
     def _send_static(self, entity: str, archetype: Any) -> None:
         self._stream.log(f"{ROOT}/{entity}", archetype, static=True)
 
-    def _send_text(self, lines: list[tuple[float, str, str]]) -> None:
-        if lines:
-            times, texts, levels = zip(*lines, strict=True)
-            columns = rr.TextLog.columns(text=[escape_unprintable(t) for t in texts], level=levels)
-            self._send("log", np.array(times), columns)
+    def _draw(self, entity: str, lines: list[Points]) -> None:
+        """Draw lines of points x + iy that stay."""
+        strips = rr.LineStrips3D(list(map(_lift, lines)), colors=COLOURS[entity])
+        self._send_static(entity, strips)
 
-    def _log_beginning(self, part: Part) -> None:
+    def _send_scalars(self, entity: str, times: Floats, values: Floats) -> None:
+        is_known = np.isfinite(values)
+        self._send(entity, times[is_known], rr.Scalars.columns(scalars=values[is_known]))
+
+    def _log_beginning(self, part: Episode) -> None:
         """What doesn't change: robot, goal, world, and what lines are called."""
-        config, body = self._config, COLOURS["path"]
-        corners = np.array([*config.outline, config.outline[0]])
-        front = np.array([(0.0, 0.0), (float(corners[:, 0].max()), 0.0)])
-        self._send_static("robot/footprint", rr.LineStrips3D(_lift([corners, front]), colors=body))
-        plots = [f"command/{name}" for name in ("linear", "angular")]
-        plots += [f"wheels/{wheel}" for wheel in WHEELS]
-        for kind in ("asked", "sent", "measured"):
-            line = rr.SeriesLines(colors=COLOURS[kind], names=kind)
-            for plot in plots:
-                self._send_static(f"{plot}/{kind}", line)
+        corners = np.array([*self._config.outline, self._config.outline[0]]) @ (1.0, 1j)
+        front = np.array([0.0, corners.real.max()], np.complex128)
+        self._draw("robot/footprint", [corners, front])
+        for wheel in WHEELS:
+            self._name_plot(f"wheels/{wheel}/sent")
+        for entity in SCALARS:
+            self._name_plot(entity)
         words, _, colours = zip(*REASONS.values(), strict=True)
         states = rr.StateConfiguration(values=words, labels=words, colors=colours)
         self._send_static("safety", states)
         self._send_static("lateness", rr.SeriesLines(names="lateness [ms]"))
-        if (goal := part.numbers("goal", 2)) is not None:
-            ring = np.array(goal) + 0.15 * CIRCLE
-            self._send_static("goal", rr.LineStrips3D(_lift([ring]), colors=COLOURS["goal"]))
-        world = find_world(self._header, config, part)
+
+        goal = read_numbers(part, "goal", 2)
+        if goal is not None:
+            self._draw("goal", [complex(*goal) + GOAL_RADIUS * CIRCLE])
+        world = find_world(self._header, self._config, part)
         if world is not None:
-            rings = [circle[:2] + circle[2] * CIRCLE for circle in world.circles]
-            shapes = [*rings, *world.segments.reshape(-1, 2, 2)]
-            lines = _lift([to_odometry_points(part.start, shape) for shape in shapes])
-            walls = rr.LineStrips3D(lines, colors=COLOURS["obstacles"])
-            self._send_static("world/obstacles", walls)
+            rings = [x + 1j * y + radius * CIRCLE for x, y, radius in world.circles]
+            walls = world.segments.reshape(-1, 2, 2) @ (1.0, 1j)
+            self._draw("world/obstacles", [_to_odometry(part, line) for line in (*rings, *walls)])
             if world.path is not None:
-                path = _lift([to_odometry_points(part.start, world.path)])
-                route = rr.LineStrips3D(path, colors=COLOURS["route"])
-                self._send_static("world/route", route)
+                self._draw("world/route", [_to_odometry(part, world.path @ (1.0, 1j))])
         named = [f"{name} {part.info[name]}" for name in ("seed", "world") if name in part.info]
-        self.log_text(0.0, f"begins: {', '.join(named)}" if named else "begins")
+        self.log_lines([(0.0, f"begins: {', '.join(named)}" if named else "begins", "INFO")])
 
-    def _log_ticks(self, part: Part) -> None:
-        ticks = part.ticks
-        poses = ticks["pose"]
-        times, half = ticks["stamp"], poses[:, 2] / 2.0
-        zeros = np.zeros(len(times))
-        turn = np.stack([zeros, zeros, np.sin(half), np.cos(half)], axis=1)
-        place = np.column_stack([poses[:, :2], zeros])
-        self._send("robot", times, rr.Transform3D.columns(translation=place, quaternion=turn))
-        self._log_path("path", times, poses[:, :2])
-        truth = part.exchanges[np.isfinite(part.exchanges["contact"])]
-        true_points = to_odometry_points(part.start, truth["pose"][:, :2])
-        self._log_path("truth", truth["stamp"], true_points)
-        for axis, name in enumerate(("linear", "angular")):
-            for kind, column in (("asked", "asked"), ("sent", "sent"), ("measured", "twist")):
-                self._send_scalars(f"command/{name}/{kind}", times, ticks[column][:, axis])
-        for number, wheel in enumerate(WHEELS):
-            self._send_scalars(f"wheels/{wheel}/measured", times, ticks["speeds"][:, number])
-            sent = part.sent[:, 1 + number]
-            self._send_scalars(f"wheels/{wheel}/sent", part.sent[:, 0], sent)
-        self._send_scalars("lateness", times, ticks["lateness"] * 1e3)
-        changes = np.flatnonzero(self._changes("reason", ticks["reason"]))
-        reasons = [_describe_reason(ticks["reason"][row]) for row in changes]
-        words = [word for word, _, _ in reasons]
+    def _name_plot(self, entity: str) -> None:
+        kind = entity.rpartition("/")[2]
+        self._send_static(entity, rr.SeriesLines(colors=COLOURS[kind], names=kind))
+
+    def _log_ticks(self, part: Episode) -> None:
+        columns = split_columns(part.tables["ticks"])
+        times = columns["stamp"] - part.start
+        for entity, name in SCALARS.items():
+            self._send_scalars(entity, times, columns[name])
+        self._send_scalars("lateness", times, columns["lateness"] * 1e3)
+        stamps, speeds = part.wire.commands(self._config)
+        for wheel, sent in zip(WHEELS, speeds.T, strict=True):
+            self._send_scalars(f"wheels/{wheel}/sent", stamps - part.start, sent)
+
+        points = columns["x"] + 1j * columns["y"]
+        turns = np.zeros((len(times), 4))
+        turns[:, 2] = np.sin(columns["theta"] / 2.0)
+        turns[:, 3] = np.cos(columns["theta"] / 2.0)
+        place = rr.Transform3D.columns(translation=_lift(points), quaternion=turns)
+        self._send("robot", times, place)
+        self._log_path("path", times, points)
+        exchanges = part.exchanges[np.isfinite(part.exchanges["contact"])]
+        true_points = _to_odometry(part, exchanges["pose"][:, :2] @ (1.0, 1j))
+        self._log_path("truth", exchanges["stamp"] - part.start, true_points)
+
+        changes = np.flatnonzero(self._changes("reason", part.reasons))
+        words = [
+            REASONS.get(reason, UNKNOWN_REASON)[0] for reason in part.reasons[changes].tolist()
+        ]
         self._send("safety", times[changes], rr.StateChange.columns(state=words))
-        for row, (word, level, _) in zip(changes, reasons, strict=True):
+        lines = []
+        for row in changes:
+            word, level, _ = REASONS.get(int(part.reasons[row]), UNKNOWN_REASON)
             if level != "INFO":
-                self.log_text(float(times[row]), word, level)
+                lines.append((float(times[row]), word, level))
+        self.log_lines(lines)
 
-    def _send_scalars(self, entity: str, times: Floats, values: Floats) -> None:
-        finite = np.isfinite(values)
-        self._send(entity, times[finite], rr.Scalars.columns(scalars=values[finite]))
-
-    def _log_path(self, entity: str, times: Floats, points: Floats) -> None:
-        """A path as short pieces, each at its own time."""
-        before = self._ends.get(entity)
-        if before is not None:
-            points = np.concatenate([before, points])
-            times = np.concatenate([times[:1], times])
-        way = np.hypot(*np.diff(points, axis=0).T).cumsum() if len(points) > 1 else np.zeros(0)
-        steps = np.diff(np.floor(way / STEP_LENGTH), prepend=0.0)
-        chosen = np.concatenate([[0], 1 + np.flatnonzero(steps)])[: len(points)]
-        pieces = np.stack([points[chosen[:-1]], points[chosen[1:]]], axis=1)
-        colour = [COLOURS[entity]] * len(pieces)
-        width = np.full(len(pieces), -2.0 if entity == "path" else -1.0)
-        columns = rr.LineStrips3D.columns(strips=_lift(pieces), colors=colour, radii=width)
-        self._send(entity, times[chosen[1:]], columns)
-        if len(chosen):
-            self._ends[entity] = points[chosen[-1:]]
-
-    def _log_scans(self, part: Part) -> None:
-        """Points of each scan, and those of them that are new: what was seen so far."""
-        spec, ticks, config = ray_spec(self._config), part.ticks, self._config
-        if part.ranges.shape[1] != spec.rays or not len(ticks["stamp"]):
+    def _log_path(self, entity: str, times: Floats, points: Points) -> None:
+        """A path as short pieces, each at its own time, after the part before."""
+        if not len(points):
             return
-        angles, stamps = spec.angles(), part.scan_times
-        x, y, theta = ticks["pose"].T
-        x, y = (np.interp(stamps, ticks["stamp"], column) for column in (x, y))
-        headings = np.interp(stamps, ticks["stamp"], np.unwrap(theta))
-        points, new_points = [], []
-        for row, ranges in enumerate(part.ranges):
-            hit = np.isfinite(ranges) & (ranges < config.lidar.max_range) & (ranges > 0.0)
-            mount = complex(config.lidar_x_offset, config.lidar_y_offset)
-            rays = mount + ranges[hit] * np.exp(1j * angles[hit])
-            hits = complex(x[row], y[row]) + rays * np.exp(1j * headings[row])
-            cells = np.unique(np.round(hits / SEEN_CELL)) * SEEN_CELL
-            new = np.setdiff1d(cells, self._seen)
-            self._seen = np.union1d(self._seen, new)
-            points.append(hits)
-            new_points.append(new)
-        self._send_points("scan", stamps, points, 2.5)
-        self._send_points("seen", stamps, new_points, 1.2)
+        rows = np.unique([*range(0, len(points), STEP_TICKS), len(points) - 1])
+        corners = np.concatenate([self._ends.get(entity, points[:1]), points[rows]])
+        self._ends[entity] = corners[-1:]
+        pieces = _lift(np.stack([corners[:-1], corners[1:]], axis=1))
+        width = np.full(len(rows), -2.0 if entity == "path" else -1.0)
+        colours = [COLOURS[entity]] * len(rows)
+        columns = rr.LineStrips3D.columns(strips=list(pieces), colors=colours, radii=width)
+        self._send(entity, times[rows], columns)
 
-    def _log_movers(self, part: Part) -> None:
-        """What moves, as rings, with lines to where each will be in a second."""
-        movers = part.movers
-        marks = np.floor(movers.stamps / MOVERS_PERIOD + 1e-6)
-        chosen = np.flatnonzero(self._changes("mark", marks))
-        strips, counts = [], []
-        for row in chosen:
-            x, y, vx, vy, radius = movers.states[row].T[:, :, None]
-            middle, ahead = np.stack([x, y], axis=2), np.stack([x + vx, y + vy], axis=2)
-            shapes = [*(middle + radius[:, :, None] * CIRCLE), *np.hstack([middle, ahead])]
-            strips += _lift([to_odometry_points(part.start, shape) for shape in shapes])
-            counts.append(len(shapes))
-        colours = [COLOURS["movers"]] * len(strips)
-        columns = rr.LineStrips3D.columns(strips=strips, colors=colours)
-        self._send("movers", movers.stamps[chosen], columns.partition(counts))
+    def _log_scans(self, part: Episode) -> None:
+        """Points of each scan, and those of them that weren't seen before."""
+        config = self._config
+        spec = ray_spec(config)
+        ranges = part.scans.ranges
+        if ranges.shape[1] != spec.rays or not len(part.stamps):
+            return
+        stamps = part.scans.stamps
+        x, y = (np.interp(stamps, part.stamps, column) for column in part.poses.T[:2])
+        headings = np.interp(stamps, part.stamps, np.unwrap(part.poses[:, 2]))
+        mount = complex(config.lidar_x_offset, config.lidar_y_offset)
+        rays = mount + ranges * np.exp(1j * spec.angles())
+        hits = (x + 1j * y)[:, None] + rays * np.exp(1j * headings)[:, None]
+        is_hit = np.isfinite(ranges) & (ranges < config.lidar.max_range) & (ranges > 0.0)
 
-    def _send_points(
-        self, entity: str, times: Floats, rows: list[NDArray[np.complex128]], size: float
-    ) -> None:
-        """Points as complex numbers, of so many pixels: Rerun takes negative radii as such."""
+        points = [row[mask] for row, mask in zip(hits, is_hit, strict=True)]
+        times = stamps - part.start
+        self._send_points("scan", times, points, pixels=2.5)
+        rows = np.flatnonzero(self._changes("second", np.floor(times)))
+        self._send_points("seen", times[rows], [points[row] for row in rows], pixels=1.2)
+
+    def _send_points(self, entity: str, times: Floats, rows: list[Points], pixels: float) -> None:
+        """Points of a size in pixels, which Rerun takes as negative radii."""
         points = np.concatenate([*rows, np.zeros(0, np.complex128)])
         columns = rr.Points3D.columns(
-            positions=np.stack([points.real, points.imag, np.zeros(len(points))], axis=1),
+            positions=_lift(points),
             colors=[COLOURS[entity]] * len(points),
-            radii=np.full(len(points), -size),
+            radii=np.full(len(points), -pixels),
         )
         self._send(entity, times, columns.partition([len(row) for row in rows]))
 
-    def _changes(self, name: str, values: Floats) -> Floats:
-        """Changes from row to row, (n,), also from the block before; 0 for the first row of all."""
-        values = np.nan_to_num(values)
-        before = self._last.get(name, values[:1].sum())
+    def _log_movers(self, part: Episode) -> None:
+        """What moves, as rings, with lines to where each will be in a second."""
+        movers = part.movers
+        rows = movers.exchanges % max(1, round(self._config.control_rate / MOVERS_RATE)) == 0
+        strips = []
+        for x, y, x_rate, y_rate, radius in movers.states[rows].transpose(0, 2, 1)[..., None]:
+            middle = x + 1j * y
+            rings = middle + radius * CIRCLE
+            ahead = np.hstack([middle, middle + x_rate + 1j * y_rate])
+            strips += [_lift(_to_odometry(part, line)) for line in (*rings, *ahead)]
+        colours = [COLOURS["movers"]] * len(strips)
+        columns = rr.LineStrips3D.columns(strips=strips, colors=colours)
+        counts = [2 * movers.states.shape[1]] * int(rows.sum())
+        self._send("movers", movers.stamps[rows] - part.start, columns.partition(counts))
+
+    def _changes(self, name: str, values: NDArray[Any]) -> Floats:
+        """Changes from row to row, (n,), also from the part before. 0 for the first row of all."""
+        values = np.nan_to_num(values.astype(np.float64))
+        previous = self._last.get(name, values[:1].sum())
         if len(values):
             self._last[name] = float(values[-1])
-        changes: Floats = np.diff(values, prepend=before)
+        changes: Floats = np.diff(values, prepend=previous)
         return changes
 
-    def _list_lines(self, part: Part) -> Iterator[tuple[float, str, str]]:
-        """What happened in a part: time, text and level."""
-        ticks = part.ticks
-        times, lateness = ticks["stamp"], ticks["lateness"]
-        for burst in _group_bursts(times, lateness > self._config.late_tick):
-            count, worst = len(burst), float(lateness[burst].max()) * 1e3
-            ticks_late = f"{count:,} tick{'s' * (count != 1)}"
-            yield float(times[burst[0]]), f"late: {ticks_late}, at worst by {worst:.1f} ms", "WARN"
+    def _list_lines(self, part: Episode) -> Iterator[Line]:
+        """What happened in a part."""
+        ticks = part.tables["ticks"]
+        lateness = part.lateness
+        for rows in _group_bursts(part.stamps, lateness > self._config.late_tick):
+            worst = float(lateness[rows].max()) * 1e3
+            text = f"late: {len(rows):,} tick{'s' * (len(rows) != 1)}, at worst by {worst:.1f} ms"
+            yield float(part.stamps[rows[0]] - part.start), text, "WARN"
         for column, usual, text in (
             ("refused", 0.0, "parts of the input were refused"),
             ("exchange", 1.0, "control periods aren't recorded"),
         ):
             more = self._changes(column, ticks[column]) - usual
-            for burst in _group_bursts(times, more > 0.0):
-                yield float(times[burst[0]]), f"{more[burst].sum():,.0f} {text}", "WARN"
+            for rows in _group_bursts(part.stamps, more > 0.0):
+                count = more[rows].sum()
+                yield float(part.stamps[rows[0]] - part.start), f"{count:,.0f} {text}", "WARN"
+
         exchanges = part.exchanges
-        touched = self._changes("contact", exchanges["contact"]) > 0.0
-        for burst in _group_bursts(exchanges["stamp"], touched):
-            yield float(exchanges["stamp"][burst[0]]), "touches an obstacle", "ERROR"
-        movers = part.movers
-        for row in np.flatnonzero(self._changes("hit", movers.hits)):
-            yield float(movers.stamps[row]), HITS.get(float(movers.hits[row]), "a contact"), "ERROR"
-        for time, text in part.faults:
-            yield time, text, "ERROR"
-        if len(part.steps):
-            step = part.steps[-1]
+        touches = self._changes("contact", exchanges["contact"]) > 0.0
+        for rows in _group_bursts(exchanges["stamp"], touches):
+            yield float(exchanges["stamp"][rows[0]] - part.start), "touches an obstacle", "ERROR"
+        hits = part.movers.hits
+        for row in np.flatnonzero(self._changes("hit", hits)):
+            text = HITS.get(float(hits[row]), "a contact")
+            yield float(part.movers.stamps[row] - part.start), text, "ERROR"
+        stamps = part.tables["faults"]["stamp"].tolist()
+        for stamp, fault in zip(stamps, split_pieces(part.tables, "faults"), strict=True):
+            yield stamp - part.start, fault.decode(errors="replace"), "ERROR"
+        for step in part.tables["steps"][-1:]:
             if step["terminated"] or step["truncated"]:
                 how = "failed" if step["terminated"] else "cut short by a fault"
                 how = "solved" if step["success"] else how
                 level = "INFO" if step["success"] else "WARN"
-                yield float(step["stamp"]), f"ends: {how}, {step['step']:,} steps", level
+                text = f"ends: {how}, {step['step']:,} steps"
+                yield float(step["stamp"] - part.start), text, level
 
 
-def _lift(lines: Any) -> list[Floats]:
-    """Lines of points (n, 2) as lines on the ground."""
-    return [np.column_stack([line, np.zeros(len(line))]) for line in lines]
+def _lift(points: Points) -> Floats:
+    """Points x + iy as points on the ground, (..., 3)."""
+    return np.stack([points.real, points.imag, np.zeros(points.shape)], axis=-1)
 
 
-def to_odometry_points(start: tuple[float, float, float], points: Floats) -> Floats:
-    """Points (n, 2) of the world's frame in that of the odometry, which begins at `start`."""
-    x, y, theta = start
-    turn = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
-    moved: Floats = (points - (x, y)) @ turn
+def read_numbers(part: Episode, name: str, count: int) -> tuple[float, ...] | None:
+    """Return some numbers of an episode's `info`. None if they aren't there."""
+    try:
+        numbers = tuple(map(float, part.info[name]))
+    except (KeyError, TypeError, ValueError, OverflowError):
+        return None
+    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
+
+
+def _to_odometry(part: Episode, points: Points) -> Points:
+    """Points of the world's frame in that of the odometry, which begins at the start."""
+    x, y, theta = read_numbers(part, "start", 3) or (0.0, 0.0, 0.0)
+    moved: Points = (points - complex(x, y)) * np.exp(-1j * theta)
     return moved
 
 
 def _group_bursts(times: Floats, happened: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Rows at which something happened, in groups less than BURST_GAP apart."""
     rows = np.flatnonzero(happened)
-    if not len(rows):
-        return []
-    return np.split(rows, np.flatnonzero(np.diff(times[rows]) > BURST_GAP) + 1)
+    groups = np.split(rows, np.flatnonzero(np.diff(times[rows]) > BURST_GAP) + 1)
+    return [group for group in groups if len(group)]
 
 
-def _describe_reason(number: float) -> tuple[str, str, tuple[int, int, int]]:
-    """Words, level and colour of a reason of the safety layer."""
-    reason = int(np.nan_to_num(number, nan=-1.0))
-    return REASONS.get(reason, ("unknown", "INFO", (0, 0, 0)))  # type: ignore[call-overload, no-any-return]
-
-
-def find_world(header: Mapping[str, Any], config: RobotConfig, part: Part) -> World | None:
-    """Return the world of a simulated episode; None where it isn't known.
+def find_world(header: Mapping[str, Any], config: RobotConfig, part: Episode) -> World | None:
+    """Return the world of a simulated episode. None if it isn't known.
 
     Only worlds of this package's own generators are made again: a recording may name any module.
     """
@@ -326,48 +336,43 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, part: Part) -> Wo
     if not isinstance(options, dict):
         return None
     source: Any = options.get("worlds")
-    key: Any = part.info.get("world")
     names = [parse_name(str(item)) for item in (source if isinstance(source, list) else [source])]
-    if not part.is_simulated or not all(name and not name.module for name in names):
+    if not all(name and not name.module for name in names):
         return None
+    key: Any = part.info.get("world")
     try:
-        level = options.get("difficulty")
-        return Pool.of(source, level, footprint_radius(config))[key]
+        return Pool.of(source, options.get("difficulty"), footprint_radius(config))[key]
     except (AcsarError, TypeError, ValueError):
         return None
 
 
-def make_blueprint(part: Part) -> rrb.Blueprint:
+def make_blueprint(part: Episode) -> rrb.Blueprint:
     """Lay the views out: from above, wheels, command and why, log."""
     past = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.infinite(),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
-    x, y = part.numbers("goal", 2) or (0.0, 0.0)
+    x, y = read_numbers(part, "goal", 2) or (0.0, 0.0)
     height = 1.2 * max(math.hypot(x, y), 3.0) + 2.0
+    eye = rrb.EyeControls3D(
+        position=(x / 2.0, y / 2.0 - 0.01, height), look_target=(x / 2.0, y / 2.0, 0.0)
+    )
     above = rrb.Spatial3DView(
         name="From above",
         contents="/**",
         overrides={f"{ROOT}/{name}": [past] for name in TRAILS},
-        eye_controls=rrb.EyeControls3D(
-            position=(x / 2.0, y / 2.0 - 0.01, height), look_target=(x / 2.0, y / 2.0, 0.0)
-        ),
+        eye_controls=eye,
     )
 
-    def plot(name: str, entity: str, *, legend: bool = False) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(
-            name=name,
-            contents=f"/{ROOT}/{entity}/**",
-            plot_legend=rrb.PlotLegend(visible=legend),
-        )
+    def plot(name: str, entity: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(name=name, contents=f"/{ROOT}/{entity}/**")
 
-    wheels = [
-        plot(f"{wheel.replace('_', ' ')} [rad/s]", f"wheels/{wheel}", legend=wheel == "front_left")
-        for wheel in ("front_left", "front_right", "rear_left", "rear_right")
-    ]
-    twist = plot("linear [m/s]", "command/linear"), plot("angular [rad/s]", "command/angular")
-    why = [rrb.StateTimelineView(name="Safety layer", contents="/run/safety")]
+    names = ("front_left", "front_right", "rear_left", "rear_right")
+    wheels = [plot(f"{name.replace('_', ' ')} [rad/s]", f"wheels/{name}") for name in names]
+    linear = plot("linear [m/s]", "command/linear")
+    angular = plot("angular [rad/s]", "command/angular")
+    why = rrb.StateTimelineView(name="Safety layer", contents=f"/{ROOT}/safety")
     lateness = plot("Lateness [ms]", "lateness")
     log = rrb.TextLogView(name="Log", contents=f"/{ROOT}/log")
     return rrb.Blueprint(
@@ -375,12 +380,11 @@ def make_blueprint(part: Part) -> rrb.Blueprint:
             rrb.Vertical(above, log, row_shares=[3, 1]),
             rrb.Vertical(
                 rrb.Grid(*wheels, grid_columns=2),
-                rrb.Horizontal(*twist),
-                rrb.Horizontal(*why, lateness),
+                rrb.Horizontal(linear, angular),
+                rrb.Horizontal(why, lateness),
                 row_shares=[5, 3, 2],
             ),
         ),
-        rrb.TimePanel(timeline=TIMELINE, play_state="playing", state="collapsed"),
+        rrb.TimePanel(timeline=TIMELINE, play_state="following", state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
-        rrb.BlueprintPanel(state="expanded" if part.episode else "collapsed"),
     )

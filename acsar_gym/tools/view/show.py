@@ -1,121 +1,200 @@
-"""Shows a recording."""
+"""Shows recordings, and drives while they go on."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import socket
+import subprocess
 import tempfile
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import rerun as rr
 
-from acsar_gym.errors import ConfigError, escape_unprintable
+from acsar_gym.config import RobotConfig
+from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
-from acsar_gym.tools.view.entities import APPLICATION, EpisodeLogger, make_blueprint
-from acsar_gym.tools.view.parts import Part, Tape
-from acsar_gym.tools.view.viewer import merge_files, open_viewer
+from acsar_gym.recording import Episode, Recording, read
+from acsar_gym.recording.blocks import Head
+from acsar_gym.recording.events import Tables
+from acsar_gym.recording.reader import TableEpisode
+from acsar_gym.recording.recorder import SinkMaker
+from acsar_gym.recording.tabulator import Sink
+from acsar_gym.tools.view.entities import EpisodeLogger, make_blueprint
 
-RECORD_HINT = "drive with --record FILE, and view that file"
+HOST = "127.0.0.1"
+START_TIMEOUT = 60.0  # longest wait for the viewer [s]
+Connect = Callable[[rr.RecordingStream], None]
+"""Sends a recording of Rerun somewhere."""
+
+
+class RerunSink(Sink):
+    """Writes episodes into recordings of Rerun, one for each.
+
+    Args:
+        config: The robot.
+        header: Header of the recording.
+        connect: Called with each recording of Rerun.
+
+    Attributes:
+        count: Number of episodes.
+    """
+
+    def __init__(self, config: RobotConfig, header: Mapping[str, Any], connect: Connect) -> None:
+        self.count = 0
+        self._config = config
+        self._header = header
+        self._connect = connect
+        self._end = 0.0
+
+    def write(self, head: Mapping[str, Any], tables: Tables) -> None:
+        """Show a block of a drive that goes on."""
+        self.show(head["episode"], TableEpisode.of(Head.model_validate(head), tables))
+
+    def show(self, number: int, part: Episode) -> None:
+        """Show a part of an episode with a number."""
+        if number >= self.count:
+            self._finish_episode()
+            self._begin_episode(number, part)
+        self._logger.log(part)
+        self._end = float(part.stamps.max(initial=part.start)) - part.start
+
+    def _begin_episode(self, number: int, part: Episode) -> None:
+        self.count = number + 1
+        self._stream = rr.RecordingStream("acsar_gym")
+        self._connect(self._stream)
+        seed = part.info.get("seed")
+        name = f"episode {self.count}" + (f", seed {seed}" if isinstance(seed, int) else "")
+        self._stream.send_recording_name(name)
+        self._stream.send_blueprint(make_blueprint(part))
+        self._logger = EpisodeLogger(self._stream, self._config, self._header)
+
+    def _finish_episode(self) -> None:
+        if self.count:
+            self._stream.flush()
+            self._stream.disconnect()
+
+    def end(self, text: str, level: str) -> None:
+        """Note how the recording has ended."""
+        if self.count:
+            self._logger.log_lines([(self._end, text, level)])
+        self._finish_episode()
+
+    def close(self, dropped: int) -> None:
+        """Note the end of a drive."""
+        lost = f"; {dropped:,} events were dropped" if dropped else ""
+        self.end(f"the recording ends{lost}", "WARN" if dropped else "INFO")
 
 
 def find_recording(source: str) -> Path:
-    """Return the path of a recording.
-
-    Raises:
-        ConfigError: It is a link, which only a recording of its robot can show.
-    """
+    """Return the path of a recording. Raises ConfigError if it is a link."""
     path = Path(source.removeprefix("replay:"))
     is_recording = path.suffix == ".mcap" or path.is_file() or path.is_dir()
     if not is_recording and (source in BODIES or source == "serial" or is_device(source)):
-        raise ConfigError(f"{source}: isn't a recording: {RECORD_HINT}")
+        raise ConfigError(f"{source}: isn't a recording: drive with --view to watch the robot")
     return path
 
 
-def read_seed(part: Part) -> int | None:
-    """Return the seed of an episode; None if it isn't known."""
-    seed = part.info.get("seed")
-    return seed if isinstance(seed, int) else None
-
-
-class RerunWriter:
-    """Writes the episodes of a recording into recordings of Rerun.
-
-    Args:
-        tape: The recording.
-        connect: Called with each recording of Rerun, to send it somewhere.
-
-    Attributes:
-        count: Number of episodes that were written.
-    """
-
-    def __init__(self, tape: Tape, connect: Callable[[rr.RecordingStream], None]) -> None:
-        self.count = 0
-        self._tape = tape
-        self._connect = connect
-        self._stream: Any = None
-        self._number = -1
-        self._end = 0.0
-
-    def write(self) -> None:
-        """Write all episodes.
-
-        Raises:
-            ConfigError: There are none.
-        """
-        for part in self._tape.read_parts():
-            if part.episode != self._number:
-                self._finish_episode()
-                self._begin_episode(part)
-            self._logger.log(part)
-            self._end = max(self._end, float(part.ticks["stamp"].max(initial=0.0)))
-        if not self.count:
-            raise ConfigError(f"{self._tape.path}: holds no episode")
-        text = self._tape.describe_end()
-        self._logger.log_text(self._end, text, "INFO" if text == "the recording ends" else "WARN")
-        self._finish_episode()
-
-    def _begin_episode(self, part: Part) -> None:
-        self._number = part.episode
-        self._end = 0.0
-        self._stream = stream = rr.RecordingStream(APPLICATION)
-        self._connect(stream)
-        self.count += 1
-        seed = read_seed(part)
-        name = f"episode {part.episode + 1}" + ("" if seed is None else f", seed {seed}")
-        stream.send_recording_name(name)
-        stream.send_blueprint(make_blueprint(part))
-        self._logger = EpisodeLogger(stream, self._tape.config, self._tape.header)
-
-    def _finish_episode(self) -> None:
-        """Send all of the episode."""
-        if self._stream is not None:
-            self._stream.flush()
-            self._stream.disconnect()
-        self._stream = None
+def write_recording(recording: Recording, connect: Connect) -> int:
+    """Write the episodes of a recording into recordings of Rerun, and return their number."""
+    sink = RerunSink(recording.config, recording.header, connect)
+    for number, episode in enumerate(recording.episodes):
+        for piece in episode.split():
+            sink.show(number, piece)
+    if recording.damages:
+        sink.end(f"the recording ends; {recording.describe_damage()}", "WARN")
+    elif recording.cut:
+        sink.end("the recording's end is missing", "WARN")
+    else:
+        sink.close(recording.dropped)
+    return sink.count
 
 
 def save_recording(path: Path, target: Path) -> int:
-    """Write a recording to an .rrd file; returns the number of its episodes."""
-    tape = Tape(path)
+    """Write a recording to an .rrd file. Returns the number of its episodes."""
+    recording = read(path)
     with tempfile.TemporaryDirectory(prefix="acsar-view-", dir=target.parent) as folder:
-        files: list[Path] = []
+        files: list[str] = []
 
         def connect(stream: rr.RecordingStream) -> None:
-            files.append(Path(folder) / f"{len(files)}.rrd")
+            files.append(f"{folder}/{len(files)}.rrd")
             stream.save(files[-1])
 
-        RerunWriter(tape, connect).write()
-        merge_files(files, target)
-    return len(files)
+        count = write_recording(recording, connect)
+        merge = [find_rerun(), "rrd", "merge", *files, "-o", str(target)]
+        done = subprocess.run(merge, check=False, capture_output=True, text=True)
+    if done.returncode:
+        raise ConfigError(f"{target}: can't be written: {done.stderr.strip()[-200:]}")
+    return count
 
 
-def show_recording(path: Path, port: int | None) -> None:
-    """Show a recording until the viewer is closed, or, at the page of a port, until Ctrl-C."""
-    tape = Tape(path)
-    with open_viewer(port) as viewer:
-        RerunWriter(tape, lambda stream: stream.connect_grpc(viewer.address)).write()
-        if viewer.url:
-            text = f"{path}: open {viewer.url} in a browser; Ctrl-C ends it"
-            print(escape_unprintable(text), flush=True)
+def show_recording(path: Path) -> None:
+    """Show a recording until the viewer is closed."""
+    recording = read(path)
+    viewer = start_viewer()
+    try:
+        write_recording(recording, viewer.connect)
         viewer.process.wait()
+    finally:
+        viewer.process.terminate()
+
+
+def show_live() -> SinkMaker:
+    """Open a viewer, and return what makes a recorder show its drive there."""
+    viewer = start_viewer()
+    return lambda config, header: RerunSink(config, header, viewer.connect)
+
+
+class Viewer(NamedTuple):
+    """A running viewer."""
+
+    address: str
+    process: subprocess.Popen[bytes]
+
+    def connect(self, stream: rr.RecordingStream) -> None:
+        """Send it a recording of Rerun."""
+        stream.connect_grpc(self.address)
+
+
+def find_rerun() -> str:
+    """Return the path of Rerun's program. Raises MissingExtraError if it isn't installed."""
+    with require_extra("the viewer", "view"):
+        import rerun_cli  # noqa: PLC0415 - optional
+    names = ("rerun.exe", "rerun", "Rerun.app/Contents/MacOS/Rerun")
+    folder = Path(rerun_cli.__path__[0])
+    return str(next((folder / name for name in names if (folder / name).is_file()), "rerun"))
+
+
+def start_viewer() -> Viewer:
+    """Open a window of Rerun's viewer, which outlives this program. Raises ConfigError if it fails.
+
+    Its settings are in a folder of its own, so that its analytics are off whatever the user's are.
+    """
+    with socket.create_server((HOST, 0)) as listener:
+        port = listener.getsockname()[1]
+    folder = tempfile.mkdtemp(prefix="acsar-view-")
+    environment = {**os.environ, "XDG_CONFIG_HOME": folder, "RUST_LOG": "error"}
+    program = find_rerun()
+    off = [program, "analytics", "disable"]
+    subprocess.run(off, check=False, env=environment, capture_output=True)
+
+    command = [program, "--bind", HOST, "--port", str(port), "--expect-data-soon"]
+    with tempfile.TemporaryFile() as log:
+        process = subprocess.Popen(
+            command, env=environment, stdout=log, stderr=log, start_new_session=True
+        )
+        deadline = time.monotonic() + START_TIMEOUT
+        while process.poll() is None and time.monotonic() < deadline:
+            with contextlib.suppress(OSError), socket.create_connection((HOST, port), 1.0):
+                return Viewer(f"rerun+http://{HOST}:{port}/proxy", process)
+            time.sleep(0.1)
+
+        process.terminate()
+        log.seek(0)
+        lines = log.read().decode(errors="replace").strip().splitlines()
+    why = lines[-1][:200] if lines else f"not within {START_TIMEOUT:g} s"
+    raise ConfigError(f"the viewer doesn't start: {why}: use view --save FILE.rrd")

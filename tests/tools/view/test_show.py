@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import urllib.error
-import urllib.request
 from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +13,12 @@ from mover_tools import HALL
 from recording_tools import drive, record_env
 from rerun.chunk import RrdReader
 
-from acsar_gym import RobotConfig
+from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording import read
-from acsar_gym.recording.types import Movers
+from acsar_gym.recording import Episode, Recorder, read
+from acsar_gym.recording.events import TABLES
 from acsar_gym.tools.view.entities import EpisodeLogger
-from acsar_gym.tools.view.parts import Part, Tape
-from acsar_gym.tools.view.show import find_recording, save_recording
-from acsar_gym.tools.view.viewer import open_viewer
+from acsar_gym.tools.view.show import RerunSink, find_recording, save_recording, start_viewer
 from acsar_gym.worlds.world import to_odometry
 
 pytestmark = [pytest.mark.usefixtures("deadline"), pytest.mark.xdist_group(__name__)]
@@ -43,7 +38,8 @@ def read_rrd(path: Path) -> list[dict[str, dict[str, Column]]]:
         entities: dict[str, dict[str, Column]] = defaultdict(lambda: defaultdict(list))
         for chunk in reader.stream(store=entry):
             for name, column in chunk.to_record_batch().to_pydict().items():
-                entities[chunk.entity_path][name.rpartition(":")[2]] += column
+                if not name.endswith("RowId"):
+                    entities[chunk.entity_path][name.rpartition(":")[2]] += column
         recordings.append(entities)
     return recordings
 
@@ -112,17 +108,49 @@ def test_movers_are_where_they_were_recorded(tmp_path: Path) -> None:
         assert line.ravel() == pytest.approx([*at[:2], *ahead[:2]], abs=1e-5)
 
 
+def test_a_drive_that_goes_on_is_shown_as_its_recording(tmp_path: Path) -> None:
+    """The viewer gets the same from the recorder as from the file afterwards."""
+    config = RobotConfig.of(None)
+
+    def save(stream: rerun.RecordingStream) -> None:
+        stream.save(tmp_path / "live.rrd")
+
+    recorder = Recorder(
+        tmp_path / "tape.mcap", sinks=[lambda *robot: RerunSink(*robot, connect=save)]
+    )
+    with Robot(open_link("planar", config), config, ["lidar"], recorder) as robot:
+        for _ in range(200):
+            robot.drive(0.3, 0.5)
+    save_recording(tmp_path / "tape.mcap", tmp_path / "tape.rrd")
+    ((live,), (afterwards,)) = (read_rrd(tmp_path / f"{name}.rrd") for name in ("live", "tape"))
+    assert set(live) == set(afterwards)
+    for entity in ("/run/robot", "/run/scan", "/run/wheels/front_left/sent", "/run/log"):
+        assert live[entity] == afterwards[entity]
+
+
+def test_a_viewer_that_does_not_start_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(ConfigError, match=r"the viewer doesn't start: .*--save FILE.rrd"):
+        start_viewer()
+
+
 def test_what_happens_is_in_the_log(tape: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (part,) = Tape(tape).read_parts()
-    part.ticks["lateness"][10:13] = 0.05
-    part.ticks["reason"][20:] = 4
-    part.ticks["refused"][30:] = 2
-    part.ticks["exchange"][40:] += 3
-    part.exchanges["contact"][50] = 1.0
-    part = replace(part, movers=make_movers([0.0, 1.0, 1.0], [0.2, 0.65, 0.7]))
-    part.faults.append((0.9, "the cable is out"))
-    texts = log_texts(part, monkeypatch)
-    assert texts == [
+    (part,) = read(tape).episodes
+    tables = part.tables
+    tables["ticks"]["lateness"][10:13] = 0.05
+    tables["ticks"]["reason"][20:] = 4
+    tables["ticks"]["refused"][30:] = 2
+    tables["ticks"]["exchange"][40:] += 3
+    tables["exchanges"]["contact"][50] = 1.0
+    tables["movers"] = np.zeros(3, TABLES["movers"])
+    tables["movers"]["stamp"] = part.start + np.array([0.2, 0.65, 0.7])
+    tables["movers"]["hit"] = [0.0, 1.0, 1.0]
+    tables["mover_states"] = np.tile([1.0, 0.0, 0.0, 0.0, 0.3], (3, 1, 1))
+    fault = b"the cable is out"
+    tables["faults"] = np.array([(part.start + 0.9, len(fault))], TABLES["faults"])
+    tables["faults_bytes"] = np.frombuffer(fault, np.uint8)
+    assert log_texts(part, monkeypatch) == [
         "begins",
         "late: 3 ticks, at worst by 50.0 ms",
         "emergency stop: held",
@@ -134,18 +162,11 @@ def test_what_happens_is_in_the_log(tape: Path, monkeypatch: pytest.MonkeyPatch)
     ]
 
 
-def make_movers(hits: list[float], stamps: list[float]) -> Movers:
-    """One that stands."""
-    state, count = [1.0, 0.0, 0.0, 0.0, 0.3], len(hits)
-    numbers, states = np.arange(count), np.tile(state, (count, 1, 1))
-    return Movers(numbers, np.array(stamps), np.array(hits), np.zeros(count), states)
-
-
-def log_texts(part: Part, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def log_texts(part: Episode, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The log of an episode, in the order of time."""
     lines: list[tuple[float, str, str]] = []
     logger = EpisodeLogger(rerun.RecordingStream("test"), RobotConfig.of(None), {})
-    monkeypatch.setattr(logger, "_send_text", lines.extend)
+    monkeypatch.setattr(logger, "log_lines", lines.extend)
     logger.log(part)
     return [text for _, text, _ in sorted(lines)]
 
@@ -162,23 +183,5 @@ def test_what_cannot_be_shown_is_a_line(damage: str, tape: Path, tmp_path: Path)
 
 @pytest.mark.parametrize("source", ["planar", "serial", "/dev/ttyX"])
 def test_a_link_is_no_recording(source: str) -> None:
-    with pytest.raises(ConfigError, match=f"{source}: isn't a recording: drive with --record FILE"):
+    with pytest.raises(ConfigError, match=f"{source}: isn't a recording: drive with --view"):
         find_recording(source)
-
-
-def test_the_page_is_on_loopback_may_ask_nobody_and_ends_with_the_command(tape: Path) -> None:
-    with open_viewer(0) as viewer:
-        with urllib.request.urlopen(viewer.url) as answer:  # noqa: S310 - http
-            policy, page = answer.headers["Content-Security-Policy"], answer.read().decode()
-            assert "url=rerun%2Bhttp://127.0.0.1:" in answer.url
-        assert "connect-src 'self' http://127.0.0.1:" in policy
-        assert "https://" not in page.split("<body>")[0].split("<script")[0]
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(f"{viewer.url}/nothing")  # noqa: S310 - http
-        port = int(viewer.url.rpartition(":")[2])
-        with pytest.raises(ConfigError, match=f"--port {port}: can't be used"):
-            open_viewer(port).__enter__()
-    assert viewer.process.poll() is not None
-    for number in (-1, 70_000):
-        with pytest.raises(ConfigError, match="--port"):
-            open_viewer(number).__enter__()

@@ -1,12 +1,10 @@
-"""The command `view`: a run in Rerun's viewer."""
+"""The command `view`: a recorded run in Rerun's viewer."""
 
 from __future__ import annotations
 
 import contextlib
 import os
 import signal
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -15,50 +13,38 @@ from acsar_gym.errors import require_extra
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import BagOptions, File, Force, RobotArg, check_writable, say
 
-Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|LINK")]
-
-
-@dataclass(frozen=True)
-class ViewOptions:
-    """What is shown, and where."""
-
-    web: bool = False
-    """Open it in a browser, at a page on this computer only, instead of a window."""
-    port: int = 8050
-    """Port of the page, whose data has the next one; 0 takes any free ones."""
-    save: File = None
-    """Write an .rrd file instead of opening a viewer."""
-    force: Force = False
+Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
 @command("view", "recordings")
-def view_run(source: Source, bag: BagOptions, options: ViewOptions, robot: RobotArg = None) -> int:
-    """Show a recorded run in Rerun's viewer.
+def view_run(
+    source: Source, bag: BagOptions, save: File = None, force: Force = False, robot: RobotArg = None
+) -> int:
+    """Show a recorded run in Rerun's viewer. Drive with --view to watch a robot live.
 
     Args:
-        source: a recording, or a ROS 2 bag.
-        bag: of ROS 2.
-        options: what is shown, and where.
-        robot: ROS 2 bags: preset or file of the robot that it is of.
+        source: A recording, or a ROS 2 bag.
+        bag: Options of ROS 2 bags.
+        save: Write an .rrd file instead of opening a viewer.
+        force: Replace existing files of other commands.
+        robot: For ROS 2 bags: preset or file of the robot.
     """
     from acsar_gym.recording.bags import is_recording  # noqa: PLC0415
 
-    os.environ.setdefault("RUST_LOG", "off")  # Rerun would tell that its viewer was closed
+    os.environ.setdefault("RUST_LOG", "off")  # Rerun would report that its viewer was closed
     with require_extra("the viewer", "view"):
         from acsar_gym.tools.view import show  # noqa: PLC0415
 
-    check_writable(options.save, force=options.force, mark="RRF")
-    bag_or_file = Path(source)
-    is_readable = bag_or_file.is_file() or bag_or_file.is_dir()
-    is_bag = is_readable and not is_recording(bag_or_file)
-    path = bag.open(bag_or_file, robot) if is_bag else show.find_recording(source)
-    if options.save is not None:
-        count = show.save_recording(path, options.save)
-        say(f"{options.save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")
+    check_writable(save, force=force, mark="RRF")
+    path = show.find_recording(source)
+    if path.exists() and not is_recording(path):
+        path = bag.open(path, robot)
+    if save is not None:
+        count = show.save_recording(path, save)
+        say(f"{save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")
         return 0
-    port = options.port if options.web else None
     for number in (signal.SIGINT, signal.SIGTERM):  # Rerun's program ends with this one
         signal.signal(number, signal.default_int_handler)
     with contextlib.suppress(KeyboardInterrupt):
-        show.show_recording(path, port)
+        show.show_recording(path)
     return 0
