@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import quirks
 
 from acsar_gym import Link, RobotConfig, open_link
-from acsar_gym.tools.commission import examine
+from acsar_gym.tools.commission.board_checks import BoardExamination
 from acsar_gym.tools.commission.checks import Check
-from acsar_gym.tools.commission.wiring import Commission
+from acsar_gym.tools.commission.wiring import parse_seen
 
 
 def board(*names: str, robot: RobotConfig | None = None) -> quirks.QuirkyLink:
@@ -17,12 +19,13 @@ def board(*names: str, robot: RobotConfig | None = None) -> quirks.QuirkyLink:
     return quirks.QuirkyLink(open_link("planar", config), config, found)
 
 
-def commissioned(
-    link: quirks.QuirkyLink, commission: Commission, config: RobotConfig | None = None
-) -> dict[str, Check]:
-    """The doctor's findings, by name; the robot is taken to be the usual one."""
-    found = examine.examine_board(link, config or RobotConfig(), commission)
-    return {check.name: check for check in found}
+def examined(
+    link: Link, saw: Sequence[str] | None = None, config: RobotConfig | None = None
+) -> tuple[BoardExamination, dict[str, Check]]:
+    """The doctor's examination, and its rows by name; the robot is taken to be the usual one."""
+    seen = None if saw is None else parse_seen(saw)
+    board = BoardExamination(config or RobotConfig(), spin=True, seen=seen)
+    return board, {row.name: row for row in board.run(link)}
 
 
 class Sibling(Link):

@@ -1,11 +1,10 @@
-"""Robots with hidden parameters: how well they are identified, and a person with a tape."""
+"""Robots with hidden parameters: how well they are identified."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,22 +15,6 @@ from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.types import WireLog
 from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
-from acsar_gym.tools.sysid.board_log import Floats
-from acsar_gym.tools.sysid.calibration import (
-    TAPE_DIVISION,
-    CalibrationRun,
-    Geometry,
-    RunReading,
-    read_protractor,
-    read_tape,
-)
-from acsar_gym.tools.sysid.calibration_drive import (
-    RunPlan,
-    TruthReader,
-    drive_run,
-    plan_straights,
-    plan_turns,
-)
 from acsar_gym.tools.sysid.excitation import StretchedLink
 from acsar_gym.tools.sysid.identify import Identification
 from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
@@ -176,67 +159,3 @@ def drive_wire(
             else:
                 robot.tick(np.broadcast_to(asked, 4).tolist())
     return tape.log
-
-
-def draw_wheels(seed: int) -> RobotConfig:
-    """A robot whose multiplier is 1.2 to 2.2, and whose radii are off by up to 3 % a side."""
-    rng = np.random.default_rng(seed)
-    left, right = rng.uniform(0.97, 1.03, 2).tolist()
-    return ACSAR.with_(
-        left_wheel_radius_multiplier=left,
-        right_wheel_radius_multiplier=right,
-        body={"turn_factor": float(rng.uniform(1.2, 2.2))},
-    )
-
-
-class Person(TruthReader):
-    """Reads a tape with marks every 5 mm and a protractor with marks every degree."""
-
-    def readings(self, plan: RunPlan) -> list[RunReading]:
-        found = {reading.kind: reading.value for reading in super().readings(plan)}
-        if plan.manoeuvre == "turn":
-            return [read_protractor(float(round(math.degrees(found["heading"]))))]
-        return [
-            read_tape(kind, round(found[kind] / TAPE_DIVISION) * TAPE_DIVISION)
-            for kind in ("distance", "aside")
-        ]
-
-
-def usual_plans() -> list[RunPlan]:
-    """What `straight` and `turn` drive by default."""
-    return [*plan_straights(2.0, 0.3, 3), *plan_turns(5.0, (0.6, 1.2), (0.0,), 1)]
-
-
-def drive_plans(
-    plans: Sequence[RunPlan], twin: RobotConfig, link: str = "planar"
-) -> list[CalibrationRun]:
-    """Drive a simulated robot that is thought to be an ACSAR, and measure with the tape."""
-    robot = Robot(open_link(link, twin), ACSAR)
-    return [drive_run(robot, plan, Person) for plan in plans]
-
-
-def leg_wheels(left: Sequence[float], right: Sequence[float], parts: int = 100) -> Floats:
-    """Wheel angles of legs, each with these angles of the left and the right wheels [rad]."""
-    ends = np.cumsum([(0.0, 0.0), *zip(left, right, strict=True)], axis=0)
-    return np.concatenate(
-        [np.linspace(begin, end, parts, endpoint=False) for begin, end in pairwise(ends)]
-        + [ends[-1:]]
-    )
-
-
-def line_wheels(geometry: Geometry, distance: float) -> Floats:
-    """Wheel angles of a straight command of the robot that odometry takes it for."""
-    return leg_wheels([distance / geometry.radius], [distance / geometry.radius])
-
-
-def spin_wheels(geometry: Geometry, angle: float, separation: float = 0.3) -> Floats:
-    """Wheel angles of a turn in place."""
-    turned = angle * separation * geometry.multiplier / 2.0 / geometry.radius
-    return leg_wheels([-turned], [turned])
-
-
-def circle_wheels(geometry: Geometry, radius: float, angle: float) -> Floats:
-    """Wheel angles of a circle that the centre drives, to the left where the angle is positive."""
-    way = radius * abs(angle)
-    turned = angle * 0.3 * geometry.multiplier / 2.0
-    return leg_wheels([(way - turned) / geometry.radius], [(way + turned) / geometry.radius])

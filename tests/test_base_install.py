@@ -31,7 +31,7 @@ env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
 env.reset(seed=0)
 env.step(env.action_space.sample())
 from acsar_gym.tools import commission, teleop
-from acsar_gym.tools.commission import checks, examine, wiring
+from acsar_gym.tools.commission import board_checks, checks, device, wiring
 from acsar_gym.tools.cli import main
 sys.argv[1:] = sys.argv[2:]
 main()

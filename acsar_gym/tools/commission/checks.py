@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rich.table import Table
+from rich.table import Column, Table
 
 from acsar_gym.errors import LinkError
 from acsar_gym.guard.estop import try_listening
@@ -24,10 +24,10 @@ class Check:
     """Result of one check.
 
     Attributes:
-        name: what was checked.
+        name: What was checked.
         status: "ok", "warn", "fail" or "skip".
-        found: what was found.
-        fix: what to do; empty if nothing.
+        found: What was found.
+        fix: What to do; empty if nothing.
     """
 
     name: str
@@ -42,12 +42,12 @@ def warn_if(bad: bool, name: str, found: str, fix: str) -> Check:
 
 
 def check_ports(device: str | None = None) -> Check:
-    """List the serial ports of this computer; a warning if there is neither one nor a device."""
-    found = [f"{port.device} ({port.description})" for port in find_ports()]
-    if not found and device is not None:
-        found = [f"none but {device}"]
+    """List the serial ports of this computer; a warning if there is neither a port nor a device."""
+    ports = [f"{port.device} ({port.description})" for port in find_ports()]
+    if device is not None:
+        ports = ports or [f"none but {device}"]
     advice = "plug the board in; is its driver loaded?"
-    return warn_if(not found, "serial ports", ", ".join(found) or "none found", advice)
+    return warn_if(not ports, "serial ports", ", ".join(ports) or "none found", advice)
 
 
 def check_estop() -> Check:
@@ -60,11 +60,10 @@ def check_estop() -> Check:
     return Check("emergency stop", "ok", f"listens in {folder}")
 
 
-def draw_checks(checks: Sequence[Check], title: str = "acsar-gym doctor") -> Table:
+def draw_checks(checks: Sequence[Check]) -> Table:
     """Format results as a table."""
-    drawn = Table(title=title, title_justify="left")
-    for column in ("check", "", "found", "what to do"):
-        drawn.add_column(column, overflow="fold")
+    columns = [Column(name, overflow="fold") for name in ("check", "", "found", "what to do")]
+    table = Table(*columns, title="acsar-gym doctor", title_justify="left")
     for check in checks:
-        drawn.add_row(check.name, STATUS_MARKS[check.status], check.found, check.fix)
-    return drawn
+        table.add_row(check.name, STATUS_MARKS[check.status], check.found, check.fix)
+    return table

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from statistics import median
 
 from acsar_gym.config import RobotConfig
@@ -46,10 +46,10 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
     stamps: list[float] = []
     try:
         robot.activate()
-        publishers = link.feedback_publishers
         command_type = COMMAND_KINDS[link.command_kind]
         topics = f"{link.command_topic} ({command_type}), {link.feedback_topic}"
         yield Check("topics", "ok", topics)
+        publishers = link.feedback_publishers
         yield warn_if(
             len(publishers) > 1,
             "publishers",
@@ -69,44 +69,49 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
             if robot.safety.reason is Reason.EMERGENCY_STOP:
                 raise EmergencyStopError  # noqa: TRY301 - closes the robot as others do
             stamps += [stamp for stamp, _ in link.arrivals]
-        delays = [*link.delays]
-        timing = robot.timing
-        refused = link.refused
-        commanders = link.commanders
-        is_simulated = link.uses_sim_time
+        yield from _report_drive(link, robot, stamps)
     except EmergencyStopError:
         raise
     except (LinkError, ConfigError) as error:
         fix = error.fix if isinstance(error, LinkError) else "correct the robot's file"
         yield Check("robot", "fail", getattr(error, "found", str(error)), fix)
-        return
     finally:
         robot.close()
 
+
+def _report_drive(link: Ros2Link, robot: Robot, stamps: Sequence[float]) -> Iterator[Check]:
+    """Report commanders, feedback and late ticks while zeros were commanded."""
     yield warn_if(
-        bool(commanders),
+        bool(link.commanders),
         "other commanders",
-        ", ".join(commanders) or "none",
+        ", ".join(link.commanders) or "none",
         "end them, or let a twist_mux choose",
     )
     rate = round_rate(measure_rate(stamps, range(len(stamps))))
+    configured = robot.config.feedback_rate
     yield warn_if(
-        abs(rate - config.feedback_rate) > RATE_TOLERANCE * config.feedback_rate,
+        abs(rate - configured) > RATE_TOLERANCE * configured,
         "feedback rate",
-        f"{rate:g} Hz, {config.feedback_rate:g} in the robot's file",
+        f"{rate:g} Hz, {configured:g} in the robot's file",
         f"set firmware.feedback_rate: {rate:g}, which its twin then has as well",
     )
-    yield warn_if(bool(refused), "refused messages", refused or "none", "correct their publisher")
-    usual = median(delays)
     yield warn_if(
-        not (is_simulated or -AHEAD_FEEDBACK < usual < LATE_FEEDBACK),
+        bool(link.refused),
+        "refused messages",
+        link.refused or "none",
+        "correct their publisher",
+    )
+    delay = median(link.delays)
+    by_clock = ", by /clock" if link.uses_sim_time else ""
+    yield warn_if(
+        not (by_clock or -AHEAD_FEEDBACK < delay < LATE_FEEDBACK),
         "feedback delay",
-        f"{1e3 * usual:.1f} ms from the stamp of the wheels to their arrival here, "
-        f"{1e3 * max(delays):.1f} ms at most" + (", by /clock" if is_simulated else ""),
+        f"{1e3 * delay:.1f} ms from the stamp of the wheels to their arrival here, "
+        f"{1e3 * max(link.delays):.1f} ms at most{by_clock}",
         "is the network slow, or do the clocks of both computers differ? set them by chrony (NTP)",
     )
-    if timing is not None:
-        late = timing.lateness
+    if robot.timing is not None:
+        late = robot.timing.lateness
         yield warn_if(
             late.late_share > MAX_LATE_SHARE,
             "late ticks",

@@ -1,9 +1,8 @@
 """Least squares for radii and multiplier over the readings of all runs together, and its results.
 
 Every reading is compared with odometry integrated from that run's wheel angles, so lag, ramps and
-limits of the drive don't matter, and straight lines and turns share one fit. A parameter
-that the readings can't tell keeps the config's value, and its uncertainty widens the intervals of
-the others.
+limits of the drive don't matter, and straight lines and turns share one fit. A parameter that the
+readings don't narrow keeps the config's value, and its uncertainty widens the other intervals.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -21,45 +20,73 @@ from acsar_gym.config import Measured, RobotConfig, update_measured
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics.randomization import LEAST_TURN
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid.board_log import Estimate, Floats
+from acsar_gym.tools.sysid.board import Floats
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
-    configured_geometry,
+    check_readings,
     hash_runs,
     predict_readings,
     reading_sigmas,
 )
 
 with require_extra("calibration", "scipy"):
-    from scipy import optimize, stats
+    from scipy import optimize
 
-GEOMETRY_PARAMETERS = ("wheel_radius", "radius_ratio", "wheel_separation_multiplier")
-"""The fitted parameters: those of Geometry, in its order."""
-GEOMETRY_PRIOR = np.array([0.025, 0.03, 0.5])
-"""Standard deviations before anything is measured: radius and multiplier as shares of the config's,
-ratio as it is."""
-TOLD_SHARE = 0.4
-"""A parameter counts as told where the readings narrow its prior to less than this share."""
-OUTLIER_SIGMAS = 5.0
-"""A run with a residual of more than this many robust standard deviations is left out."""
-SYSTEMATIC_SIGMAS = np.array([5e-4, 3e-4, 1e-3])
-"""Standard deviations that more runs don't narrow: digits that the board prints, and skidding."""
-KNOWN_READINGS = 8.0
-"""How many readings the stated precision of the readings is worth, beside the residuals."""
-GEOMETRY_LOW = np.array([0.5, -0.3, 0.2])
-"""Lower bounds: radius and multiplier as shares of the config's, ratio as it is."""
-GEOMETRY_HIGH = np.array([2.0, 0.3, 5.0])
-"""Upper bounds, likewise."""
+
+class Parameter(NamedTuple):
+    """A fitted parameter: radius and multiplier are shares of the config's, the ratio is itself."""
+
+    prior: float
+    """Standard deviation before anything is measured."""
+    systematic: float
+    """Standard deviation that more runs don't narrow: printed digits, and skidding."""
+    unmodelled: float
+    """Further such standard deviation for each unit by which residuals exceed their scales.
+
+    Wheels of one side that turn unequally drag each other, and all runs agree on a wrong radius.
+    Measured on simulated robots whose wheels differ by up to 10 %.
+    """
+    manoeuvre: str
+    """What narrows it."""
+
+
+PARAMETERS = {
+    "wheel_radius": Parameter(0.025, 5e-4, 2.5e-3, "calibrate straight"),
+    "radius_ratio": Parameter(
+        0.03, 3e-4, 3e-3, "calibrate turn --radii 0.5, or straight with --aside"
+    ),
+    "wheel_separation_multiplier": Parameter(0.5, 1e-3, 2.5e-3, "calibrate turn"),
+}
+"""The parameters in the order of Geometry; the ratio is right less left radius, as a share of their
+mean."""
+PRIOR = np.array([parameter.prior for parameter in PARAMETERS.values()])
+HELD = 1e-6
+"""Prior that holds a parameter at the config's value."""
+FREE = 1e3
+"""Prior that leaves a parameter to the readings."""
+NARROWED_SHARE = 0.4
+"""A parameter is found if the readings narrow its prior to less than this share."""
+OUTLIER_SIGMAS = 2.0
+"""Residuals above this count less and less [standard deviations]."""
+NORMAL_QUANTILE = 1.96
+"""Half width of a 95 % interval in standard deviations."""
 RADIUS_FIELDS = ("left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
 MULTIPLIER_FIELD = "wheel_separation_multiplier"
 TURN_FACTOR_FIELD = "body.turn_factor"
-MISSING_HINTS = {
-    "wheel_radius": "the wheels' mean radius (calibrate straight tells it)",
-    "radius_ratio": "left against right radius (calibrate turn --radii 0.5, or straight --aside)",
-    MULTIPLIER_FIELD: "the multiplier (calibrate turn tells it)",
-}
-"""What tells a parameter that the fit couldn't."""
+
+
+class Interval(NamedTuple):
+    """A number with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, value: float, half: float) -> Interval:
+        """Return the interval from value - half to value + half."""
+        return cls(value, value - half, value + half)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,303 +94,211 @@ class GeometryFit:
     """Result of a fit."""
 
     geometry: Geometry
-    """Radii and multiplier; those that weren't told are the config's."""
-    told: dict[str, Estimate]
-    """The parameters that the readings tell, by GEOMETRY_PARAMETERS; the ratio is right less left
-    radius, as a share of their mean."""
-    used: tuple[CalibrationRun, ...]
-    """Runs with readings that were fitted."""
-    outliers: tuple[CalibrationRun, ...]
-    """Runs that contradict the others, which were left out."""
+    """Radii and multiplier; those that weren't narrowed are the config's."""
+    narrowed: dict[str, Interval]
+    """The parameters that the readings narrow, by their names in PARAMETERS."""
+    runs: tuple[CalibrationRun, ...]
+    """Runs with readings."""
     rms: float
-    """Root mean square of the residuals, in standard deviations."""
+    """Root mean square of the residuals in standard deviations, for each degree of freedom."""
 
 
 def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> GeometryFit:
     """Fit radii and multiplier to the readings of all runs.
 
     Args:
-        runs: those without readings are left out.
-        config: of the robot; parameters that the readings can't tell are taken from it.
+        runs: Runs; those without readings are left out.
+        config: Robot configuration. Parameters that the readings don't narrow are taken from it.
 
     Raises:
-        ConfigError: no run has a reading, the readings tell no parameter, or the best fit is at a
-            bound.
+        ConfigError: No run has a reading, a reading contradicts the odometry, or the readings
+            narrow no parameter.
     """
-    used = [run for run in runs if run.readings]
+    used = tuple(run for run in runs if run.readings)
     if not used:
         raise ConfigError("no run has a reading yet: measure its end, then give --measured")
-    problem = _GeometryProblem(used, config)
-    p = problem.solve(problem.centre, [0, 1, 2], robust=True)
+    for run in used:
+        check_readings(run, config)
+    nominal = Geometry.of(config)
+    separation = config.wheel_separation
+    centre = np.array([1.0, nominal.ratio, 1.0])
+    units = np.array([nominal.radius, 1.0, nominal.multiplier])
+    measured = np.array([reading.value for run in used for reading in run.readings])
+    sigmas = np.concatenate([reading_sigmas(run, nominal, separation) for run in used])
 
-    off = np.abs(problem.residuals(p))
-    limit = OUTLIER_SIGMAS * max(1.0, 1.4826 * float(np.median(off)))
-    ends = np.cumsum([len(run.readings) for run in used])
-    worst = [float(part.max()) for part in np.split(off, ends[:-1])]
-    outliers = [run for run, most in zip(used, worst, strict=True) if most > limit]
-    if 3 * len(outliers) > len(used):
-        outliers = []  # too few others would be left
-    if outliers:
-        problem = _GeometryProblem([run for run in used if run not in outliers], config)
+    def residuals(x: Floats) -> Floats:
+        geometry = Geometry(*(x * units).tolist())
+        predicted = [predict_readings(run, geometry, separation) for run in used]
+        return np.asarray((measured - np.concatenate(predicted)) / sigmas)
 
-    told = problem.find_told(p)
-    if not told:
+    def solve(prior: Floats) -> Any:
+        return optimize.least_squares(
+            lambda x: np.append(residuals(x), (x - centre) / prior),
+            centre,
+            x_scale=PRIOR,
+            loss="soft_l1",
+            f_scale=OUTLIER_SIGMAS,
+            xtol=1e-12,
+        )
+
+    def spread(solution: Any, prior: Floats) -> Floats:
+        """Return the standard deviation of each parameter."""
+        jacobian = solution.jac[: len(measured)]
+        precision = jacobian.T @ jacobian + np.diag(prior**-2.0)
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision))))
+
+    is_narrowed = spread(solve(PRIOR), PRIOR) < NARROWED_SHARE * PRIOR
+    if not is_narrowed.any():
         raise ConfigError(
             "the readings tell neither radius nor multiplier: drive farther, or measure finer"
         )
-    p = problem.solve(np.where(np.isin(range(3), told), p, problem.centre), told, robust=False)
-    for i in told:
-        low, high = GEOMETRY_LOW[i] * (1.0 + 1e-6) + 1e-9, GEOMETRY_HIGH[i] * (1.0 - 1e-6) - 1e-9
-        if not low < p[i] < high:
-            raise ConfigError(
-                f"the readings push {GEOMETRY_PARAMETERS[i]} to its bound, {p[i]:.3g} times the "
-                "config's: check their units, and that they belong to these runs"
+    solution = solve(np.where(is_narrowed, FREE, HELD))
+    x = np.where(is_narrowed, solution.x, centre)
+    off = residuals(x)
+    freedom = max(1, len(off) - int(is_narrowed.sum()))
+    rms = math.sqrt(float(off @ off) / freedom)
+
+    deviation = spread(solution, np.where(is_narrowed, PRIOR, _known_spread(config)))
+    narrowed = {}
+    for index, (name, parameter) in enumerate(PARAMETERS.items()):
+        systematic = parameter.systematic + parameter.unmodelled * max(0.0, rms - 1.0)
+        half = NORMAL_QUANTILE * math.hypot(max(1.0, rms) * deviation[index], systematic)
+        if is_narrowed[index]:
+            narrowed[name] = Interval.around(
+                float(x[index] * units[index]), float(half * units[index])
             )
-    return GeometryFit(
-        problem.geometry(p),
-        problem.find_intervals(p, told, config),
-        tuple(problem.runs),
-        tuple(outliers),
-        float(np.sqrt(np.mean(problem.residuals(p) ** 2))),
-    )
+    return GeometryFit(Geometry(*(x * units).tolist()), narrowed, used, rms)
 
 
-class _GeometryProblem:
-    """Residuals of runs as a function of parameters p.
+def _known_spread(config: RobotConfig) -> Floats:
+    """Return the standard deviation of each parameter as measured before, else its prior."""
+    spread = PRIOR.copy()
+    for name, interval in config.measured.items():
+        sigma = max((interval.high - interval.low) / (2.0 * NORMAL_QUANTILE), 1e-9)
+        if name in RADIUS_FIELDS:
+            spread[1] = 2.0 * sigma
+        elif name in PARAMETERS:
+            spread[list(PARAMETERS).index(name)] = sigma / getattr(config, name)
+    return spread
 
-    Radius and multiplier are shares of the config's, the ratio is as it is.
+
+def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Interval]:
+    """Return the fitted fields of a robot's config with their intervals, by dotted name.
+
+    The mean of both sides' multipliers stays as it is. `body.turn_factor` is the separation's
+    multiplier, so that the twin turns as the robot does. That of a tyre is above 1.
     """
-
-    def __init__(self, runs: Sequence[CalibrationRun], config: RobotConfig) -> None:
-        self.runs, self.separation = runs, config.wheel_separation
-        self.nominal = configured_geometry(config)
-        self.centre = np.array([1.0, self.nominal.ratio, 1.0])
-        sigmas = [reading_sigmas(run, self.nominal, self.separation) for run in runs]
-        self.sigma = np.concatenate(sigmas)
-        self.measured = np.array([reading.value for run in runs for reading in run.readings])
-
-    def geometry(self, p: Floats) -> Geometry:
-        """The geometry of parameters."""
-        radius, ratio, multiplier = map(float, p)
-        return Geometry(radius * self.nominal.radius, ratio, multiplier * self.nominal.multiplier)
-
-    def residuals(self, p: Floats) -> Floats:
-        """Readings less odometry, in standard deviations, (readings,)."""
-        geometry = self.geometry(p)
-        told = [predict_readings(run, geometry, self.separation) for run in self.runs]
-        return (self.measured - np.concatenate(told)) / self.sigma
-
-    def solve(self, start: Floats, free: list[int], *, robust: bool) -> Floats:
-        """Minimise over the free parameters; the others stay at `start`.
-
-        Robust: with the prior, and a loss that forgives outliers.
-        """
-
-        def residuals(values: Floats) -> Floats:
-            p = start.copy()
-            p[free] = values
-            prior = (p - self.centre) / GEOMETRY_PRIOR
-            return np.append(self.residuals(p), prior) if robust else self.residuals(p)
-
-        p = start.copy()
-        p[free] = optimize.least_squares(
-            residuals,
-            start[free],
-            bounds=(GEOMETRY_LOW[free], GEOMETRY_HIGH[free]),
-            loss="soft_l1" if robust else "linear",
-            f_scale=2.0,
-            xtol=1e-12,
-        ).x
-        return p
-
-    def jacobian(self, p: Floats) -> Floats:
-        """Derivatives of the residuals, (readings, 3)."""
-        step = 1e-6
-        columns = [
-            (self.residuals(p + step * one) - self.residuals(p - step * one)) / (2.0 * step)
-            for one in np.eye(3)
-        ]
-        return np.stack(columns, axis=1)
-
-    def find_told(self, p: Floats) -> list[int]:
-        """Indices of the parameters that the readings tell; drops the worst one by one."""
-        information = self.jacobian(p)
-        told = [0, 1, 2]
-        while told:
-            part = information[:, told]
-            precision = part.T @ part + np.diag(GEOMETRY_PRIOR[told] ** -2.0)
-            left = np.sqrt(np.diag(np.linalg.inv(precision))) / GEOMETRY_PRIOR[told]
-            if left.max() < TOLD_SHARE:
-                break
-            told.pop(int(left.argmax()))
-        return told
-
-    def find_intervals(
-        self, p: Floats, told: Sequence[int], config: RobotConfig
-    ) -> dict[str, Estimate]:
-        """Values and 95 % intervals (Student t) of the parameters that are told."""
-        held = GEOMETRY_PRIOR.copy()  # of those that aren't: as measured before, else the prior
-        for i in (0, 2):
-            name = GEOMETRY_PARAMETERS[i]
-            if (known := config.measured.get(name)) is not None:
-                half = (known.high - known.low) / (2.0 * 1.96 * getattr(config, name))
-                held[i] = max(half, 1e-9)
-        sides = [one for name in RADIUS_FIELDS if (one := config.measured.get(name)) is not None]
-        if sides:
-            held[1] = max(2.0 * max(one.high - one.low for one in sides) / (2.0 * 1.96), 1e-9)
-        information = self.jacobian(p)
-        unknown = np.array([0.0 if i in told else held[i] ** -2.0 for i in range(3)])
-        covariance = np.linalg.inv(information.T @ information + np.diag(unknown))
-        residuals = self.residuals(p)
-        freedom = KNOWN_READINGS + len(residuals) - len(told)
-        spread = math.sqrt((KNOWN_READINGS + float(residuals @ residuals)) / freedom)
-        quantile = float(stats.t.ppf(0.975, freedom)) * spread
-        half = np.hypot(quantile * np.sqrt(np.diag(covariance)), 1.96 * SYSTEMATIC_SIGMAS)
-        unit = np.array([self.nominal.radius, 1.0, self.nominal.multiplier])
-        return {
-            GEOMETRY_PARAMETERS[i]: Estimate.around(float(p[i] * unit[i]), float(half[i] * unit[i]))
-            for i in told
-        }
-
-
-def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Estimate]:
-    """The fitted fields of a robot's config with their intervals, by dotted name.
-
-    `wheel_radius` becomes the mean radius of both sides and their multipliers 1 -+ half the ratio,
-    where the ratio was told; else the multipliers stay as they are. `body.turn_factor` is the
-    multiplier, so that the twin turns as the robot does; a tyre's is above 1.
-    """
-    fields: dict[str, Estimate] = {}
+    fields: dict[str, Interval] = {}
     mean = (config.left_wheel_radius_multiplier + config.right_wheel_radius_multiplier) / 2.0
-    ratio = fit.told.get("radius_ratio")
-    if ratio is not None:
-        mean = 1.0
-    if (radius := fit.told.get("wheel_radius")) is not None:
-        fields["wheel_radius"] = Estimate(*(number / mean for number in radius))
-    elif ratio is not None and fit.geometry.radius != config.wheel_radius:
-        fields["wheel_radius"] = Estimate(*[fit.geometry.radius] * 3)
-    if ratio is not None:
-        half = (ratio.high - ratio.low) / 4.0
-        for name, sign in zip(RADIUS_FIELDS, (-1.0, 1.0), strict=True):
-            fields[name] = Estimate.around(1.0 + sign * ratio.value / 2.0, half)
-    if (multiplier := fit.told.get(MULTIPLIER_FIELD)) is not None:
-        fields[MULTIPLIER_FIELD] = multiplier
-        if multiplier.value > 1.0:
-            low = max(multiplier.low, min(multiplier.value, LEAST_TURN))
-            fields[TURN_FACTOR_FIELD] = multiplier._replace(low=low)
+    for name, interval in fit.narrowed.items():
+        if name == "wheel_radius":
+            fields[name] = Interval(*(number / mean for number in interval))
+        elif name == "radius_ratio":
+            half = mean * (interval.high - interval.low) / 4.0
+            for field, side in zip(RADIUS_FIELDS, (-0.5, 0.5), strict=True):
+                fields[field] = Interval.around(mean * (1.0 + side * interval.value), half)
+        else:
+            fields[name] = interval
+            if interval.value > 1.0:
+                low = max(interval.low, min(interval.value, LEAST_TURN))
+                fields[TURN_FACTOR_FIELD] = interval._replace(low=low)
     return fields
 
 
 def make_calibrated_config(
     fit: GeometryFit, config: RobotConfig, *, in_ros: bool = False
 ) -> RobotConfig:
-    """The robot's config with what was found, and `measured` entries with method and logs.
+    """Return the robot's config with what was found, and with intervals, method and logs.
 
-    A robot in ROS continues to take twists by the geometry of its controller.
+    A robot in ROS continues to take twists by the geometry of its controller. Such a controller
+    regulates the speeds of its wheels. If they turn slower or faster than commanded, twists were
+    sent by radii other than its own, and `identify` found their ratio as the gain: a calibrated
+    radius takes this error out of the gains.
     """
     fields = fitted_fields(fit, config)
-    method = "calibrate " + " ".join(sorted({run.manoeuvre for run in fit.used}))
-    logs = (hash_runs(fit.used),)
-    measured = {
-        name: Measured(low=fitted.low, high=fitted.high, method=method, logs=logs)
-        if fitted.high > fitted.low
-        else None
-        for name, fitted in fields.items()
+    method = "calibrate " + " ".join(sorted({run.manoeuvre for run in fit.runs}))
+    logs = (hash_runs(fit.runs),)
+    measured: dict[str, Measured | None] = {
+        name: Measured(low=interval.low, high=interval.high, method=method, logs=logs)
+        for name, interval in fields.items()
     }
-    if MULTIPLIER_FIELD in fields:  # one that a tyre can't have ends the tyre's interval
+    if MULTIPLIER_FIELD in fields:  # a multiplier that no tyre has ends the tyre's interval
         measured.setdefault(TURN_FACTOR_FIELD, None)
-    changes: dict[str, Any] = {name: fitted.value for name, fitted in fields.items()}
-    if (turning := changes.pop(TURN_FACTOR_FIELD, None)) is not None:
-        changes["body"] = {"turn_factor": turning}
+    changes: dict[str, Any] = {name: interval.value for name, interval in fields.items()}
+    if TURN_FACTOR_FIELD in changes:
+        changes["body"] = {"turn_factor": changes.pop(TURN_FACTOR_FIELD)}
+
     if in_ros:
-        left_radius, right_radius, separation = config.twist_geometry
         error = 1.0
         if "wheel_radius" in fields and config.ros2.command != "wheel_speeds":
-            error = fmean(config.motor.of_wheel(wheel).gain for wheel in range(4))
-            changes["motor"], intervals = _divide_gains(config, error)
-            measured |= intervals
-        changes["ros2"] = {
-            "wheel_radii": (left_radius / error, right_radius / error),
-            "wheel_separation": separation,
-        }
+            gains = [config.motor.of_wheel(wheel).gain for wheel in range(4)]
+            error = fmean(gains)
+            changes["motor"] = {"gain": tuple(gain / error for gain in gains)}
+            for name, known in config.measured.items():
+                if name.startswith("motor.gain"):
+                    limits = {"low": known.low / error, "high": known.high / error}
+                    measured[name] = known.model_copy(update=limits)
+        left, right, separation = config.twist_geometry
+        radii = (left / error, right / error)
+        changes["ros2"] = {"wheel_radii": radii, "wheel_separation": separation}
     return config.with_(**changes, measured=update_measured(config.measured, measured))
 
 
-def _divide_gains(config: RobotConfig, error: float) -> tuple[dict[str, Any], dict[str, Measured]]:
-    """Take the error of the radii by which twists were sent out of the motors' gains.
-
-    A controller regulates the speeds of its wheels. If they turn slower or faster than commanded,
-    twists were sent by radii other than its own, and `identify` found their ratio as the gain.
-
-    Returns:
-        The gains as a change of the config's section `motor`, and their intervals.
-    """
-    gain = config.motor.gain
-    divided = tuple(each / error for each in gain) if isinstance(gain, tuple) else gain / error
-    intervals = {
-        name: interval.model_copy(
-            update={"low": interval.low / error, "high": interval.high / error}
-        )
-        for name, interval in config.measured.items()
-        if name.startswith("motor.gain")
-    }
-    return {"gain": divided}, intervals
-
-
 def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
-    """The fitted fields with their intervals, beside the config's values."""
-    drawn = Table(title="Calibrated, with 95 % intervals", title_justify="left")
-    for column in ("field", "config", "found", "low", "high", ""):
-        drawn.add_column(column, justify="left" if column in ("field", "") else "right")
-    for name, fitted in fitted_fields(fit, config).items():
-        factor, unit = (1000.0, "mm") if name == "wheel_radius" else (1.0, "")
-        turning = name == TURN_FACTOR_FIELD
-        before = config.body.turn_factor if turning else getattr(config, name)
-        interval = [fitted.low, fitted.high] if fitted.high > fitted.low else [None, None]
-        numbers = [before, fitted.value, *interval]
-        drawn.add_row(name, *("-" if n is None else f"{factor * n:.4f}" for n in numbers), unit)
-    lines = [f"{len(fit.used)} runs, residuals {fit.rms:.1f} times what the readings' scales allow"]
-    for name, text in MISSING_HINTS.items():
-        if name not in fit.told:
-            lines.append(f"Not told by these runs: {text}.")
-    lines += [f"Left out, contradicts the others: {escape_text(run.name)}." for run in fit.outliers]
-    drawn.caption = "\n".join(lines)
-    return drawn
+    """Return the fitted fields with their intervals, next to the config's values."""
+    table = Table(title="Calibrated, with 95 % intervals", title_justify="left")
+    for column in ("field", "config", "found", "low", "high"):
+        table.add_column(column, justify="right" if table.columns else "left")
+    for name, interval in fitted_fields(fit, config).items():
+        configured = config.body.turn_factor
+        if name != TURN_FACTOR_FIELD:
+            configured = getattr(config, name)
+        numbers = ("-" if number is None else f"{number:.5f}" for number in (configured, *interval))
+        table.add_row(f"{name} [m]" if name == "wheel_radius" else name, *numbers)
+
+    lines = [f"{len(fit.runs)} runs, residuals {fit.rms:.1f} times what the readings' scales allow"]
+    if fit.rms > 1.0:
+        lines.append("Something else moves this robot, so the intervals are wider by as much.")
+    lines += [
+        f"Not narrowed by these runs: {name}: {parameter.manoeuvre}."
+        for name, parameter in PARAMETERS.items()
+        if name not in fit.narrowed
+    ]
+    table.caption = "\n".join(lines)
+    return table
 
 
-def runs_table(runs: Sequence[CalibrationRun], fit: GeometryFit, config: RobotConfig) -> Table:
-    """Every run's readings beside odometry, before and after."""
-    drawn = Table(title="Runs", title_justify="left")
+def runs_table(fit: GeometryFit, config: RobotConfig) -> Table:
+    """Return every run's readings next to odometry, before and after."""
+    table = Table(title="Runs", title_justify="left")
     for column in ("run", "measured", "odometry before", "after", "off by"):
-        drawn.add_column(column, justify="left" if column == "run" else "right")
+        table.add_column(column, justify="right" if table.columns else "left")
     separation = config.wheel_separation
-    for run in runs:
-        before = predict_readings(run, configured_geometry(config), separation)
+    for run in fit.runs:
+        before = predict_readings(run, Geometry.of(config), separation)
         after = predict_readings(run, fit.geometry, separation)
         sigmas = reading_sigmas(run, fit.geometry, separation)
-        name = run.name + (" (left out)" if run in fit.outliers else "")
-        for i, reading in enumerate(run.readings):
-            off = reading.value - after[i]
-            cells = [
-                f"{math.degrees(value):.1f} deg" if reading.kind == "heading" else f"{value:.3f} m"
-                for value in (reading.value, before[i], after[i], off)
-            ]
-            if wide := abs(off) > 4.0 * sigmas[i]:
-                drawn.caption = "! off by more than 4 times what its scale allows"
-            shown = f"{reading.kind} {cells[0]}", *cells[1:3], cells[3] + (" !" if wide else "")
-            drawn.add_row(escape_text(name) if i == 0 else "", *shown)
-    return drawn
+        for number, reading in enumerate(run.readings):
+            off = reading.value - after[number]
+            mark = ""
+            if abs(off) > 4.0 * sigmas[number]:
+                mark = " !"
+                table.caption = "! off by more than 4 times what its scale allows"
+            values = (reading.value, before[number], after[number], off)
+            cells = [reading.format(value) for value in values]
+            name = "" if number else escape_text(run.name)
+            table.add_row(name, f"{reading.kind} {cells[0]}", *cells[1:3], cells[3] + mark)
+    return table
 
 
 def format_calibration(
     fit: GeometryFit | None, runs: Sequence[CalibrationRun], config: RobotConfig
 ) -> dict[str, Any]:
-    """The result for JSON; without a fit, where no run has a reading, nothing is found."""
+    """Return the result for JSON; without a fit, if no run has a reading, nothing is found."""
     fields = fitted_fields(fit, config) if fit else {}
     return {
-        "found": {name: fitted._asdict() for name, fitted in fields.items()},
-        "not_told": [name for name in MISSING_HINTS if fit is None or name not in fit.told],
-        "left_out": [run.name for run in fit.outliers] if fit else [],
+        "found": {name: interval._asdict() for name, interval in fields.items()},
+        "not_told": [name for name in PARAMETERS if fit is None or name not in fit.narrowed],
         "rms": fit.rms if fit else None,
         "runs": [
             {

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from cli_tools import Call, assert_one_line
-from serial_tools import TIMEOUT, TRIALS, Emulated, RobotFile, StartEmulator, start, wait_until
+from serial_tools import TRIALS, Emulated, RobotFile, StartEmulator, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.tools.sysid import board
@@ -54,9 +54,8 @@ def test_an_odd_board_is_commissioned_and_driven(
 ) -> None:
     """The last of its answers only eyes can give: the sides are swapped at the motors."""
     monkeypatch.setattr(board, "LISTEN_TIME", 0.5)  # shorter than at the command line
-    monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
-    for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):  # and patient on a busy machine
-        monkeypatch.setattr(board, name, TIMEOUT)
+    monkeypatch.setattr(board, "DELAY_TRIALS", 2)
+    monkeypatch.setattr(board, "LONGEST_TIMEOUT", 1.0)
     odd = start_emulator("--quirk", *ODD.split())
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
     config.save(guess)
@@ -92,7 +91,6 @@ def test_no_file_is_written_of_a_wheel_that_its_board_drives_away(
     tmp_path: Path,
 ) -> None:
     monkeypatch.setattr(board, "LISTEN_TIME", 0.5)
-    monkeypatch.setattr(board, "START_TIMEOUT", TIMEOUT)
     emulated = start_emulator("--quirk", "runaway=a")
     guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
     config.save(guess)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from sysid_tools import ACSAR, circle_wheels, leg_wheels, line_wheels, spin_wheels
+from calibration_tools import ACSAR, circle_wheels, leg_wheels, line_wheels, spin_wheels
 
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links import open_link
@@ -16,13 +17,10 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.calibration import (
-    CalibrationJob,
     CalibrationRun,
     Geometry,
-    check_given_readings,
+    GivenReadings,
     check_readings,
-    configured_geometry,
-    give_readings,
     integrate_wheels,
     read_recorded_runs,
 )
@@ -33,7 +31,7 @@ from acsar_gym.tools.sysid.calibration_drive import (
     plan_turns,
 )
 
-NOMINAL = configured_geometry(ACSAR)
+NOMINAL = Geometry.of(ACSAR)
 EVEN = Geometry(0.05, 0.0, 1.5)
 LINE = CalibrationRun("straight 1", "straight", line_wheels(NOMINAL, 2.0))
 LEFT = CalibrationRun("turn 1, left", "turn", spin_wheels(NOMINAL, 10.0 * math.pi))
@@ -59,7 +57,7 @@ def test_straight_lines_arcs_and_full_turns() -> None:
 
 def test_it_agrees_with_the_driver_s_odometry() -> None:
     config = ACSAR.with_(left_wheel_radius_multiplier=0.99, right_wheel_radius_multiplier=1.03)
-    geometry, odometry = configured_geometry(config), Odometry.of(config)
+    geometry, odometry = Geometry.of(config), Odometry.of(config)
     assert (geometry.left, geometry.right) == pytest.approx((0.05 * 0.99, 0.05 * 1.03))
     wheels = circle_wheels(geometry, 0.5, 4.0)
     for left, right in np.repeat(np.diff(wheels, axis=0) / 20.0, 20, axis=0):
@@ -70,77 +68,67 @@ def test_it_agrees_with_the_driver_s_odometry() -> None:
 
 
 @pytest.mark.parametrize(
-    ("run", "row", "values"),
+    ("run", "given", "values"),
     [
-        (LINE, [2.01], {"distance": 2.01}),
-        (LINE, [-2.01, -0.05], {"distance": 2.01, "aside": -0.05}),  # backwards
-        (LEFT, [1712.0], {"heading": math.radians(1712.0)}),
-        (RIGHT, [1712.0], {"heading": -math.radians(1712.0)}),
-        (LEFT, [-1712.0], {"heading": math.radians(1712.0)}),
+        (LINE, GivenReadings([2.01]), {"distance": 2.01}),
+        (LINE, GivenReadings([-2.01], [-0.05]), {"distance": 2.01, "aside": -0.05}),  # backward
+        (LEFT, GivenReadings(degrees=[1712.0]), {"heading": math.radians(1712.0)}),
+        (RIGHT, GivenReadings(degrees=[1712.0]), {"heading": -math.radians(1712.0)}),
+        (LEFT, GivenReadings(degrees=[-1712.0]), {"heading": math.radians(1712.0)}),
     ],
 )
 def test_numbers_become_readings_of_the_run(
-    run: CalibrationRun, row: list[float], values: dict[str, float]
+    run: CalibrationRun, given: GivenReadings, values: dict[str, float]
 ) -> None:
-    readings = give_readings(run, row).readings
-    assert {reading.kind: reading.value for reading in readings} == values
+    (measured,) = given.give([run])
+    assert {reading.kind: reading.value for reading in measured.readings} == values
 
 
 @pytest.mark.parametrize(
-    ("run", "row", "said"),
+    ("run", "given", "error"),
     [
-        (LINE, [201.3], "is it in metres"),
-        (LINE, [2.7], "which says 2.000 m"),
-        (LINE, [2.0, 30.0], "it drove 2.0"),
-        (LEFT, [5.0], "full turns counted"),
-        (LEFT, [3600.0], "which says 1800 degrees"),
-        (BACK_AT_START, [2.0], "ended where it began"),
+        (LINE, GivenReadings([201.3]), "is it in metres"),
+        (LINE, GivenReadings([2.7]), "which says 2.000 m"),
+        (LINE, GivenReadings([2.0], [30.0]), "which says 0.000 m"),
+        (LEFT, GivenReadings(degrees=[5.0]), "full turns counted"),
+        (LEFT, GivenReadings(degrees=[3600.0]), "which says 1800"),
+        (BACK_AT_START, GivenReadings([2.0]), "ended where it began"),
     ],
 )
 def test_readings_that_contradict_the_odometry_are_refused(
-    run: CalibrationRun, row: list[float], said: str
+    run: CalibrationRun, given: GivenReadings, error: str
 ) -> None:
-    with pytest.raises(ConfigError, match=said) as error:
-        check_readings(give_readings(run, row), ACSAR)
-    assert str(error.value).startswith(run.name)
-    assert "\n" not in str(error.value)
+    with pytest.raises(ConfigError, match=error) as raised:
+        check_readings(given.give([run])[0], ACSAR)
+    assert str(raised.value).startswith(run.name)
+    assert "\n" not in str(raised.value)
 
 
 def test_readings_of_options_are_for_all_runs_of_a_manoeuvre() -> None:
-    given = check_given_readings((2.0, 2.1), (), (1712.0,))
-    job = CalibrationJob(ACSAR, given)
-    job.runs = [LINE, LEFT, LINE]
-    job.finish()
-    assert [run.readings[0].kind for run in job.runs] == ["distance", "heading", "distance"]
+    given = GivenReadings((2.0, 2.1), (), (1712.0,))
+    assert given.check(["straight", "turn", "straight"])
+    runs = given.give([LINE, LEFT, LINE])
+    assert [run.readings[0].kind for run in runs] == ["distance", "heading", "distance"]
+    assert len(given.give([LINE])) == 1  # the drive ended early
     with pytest.raises(ConfigError, match="2 readings for 1 straight runs"):
-        job.check_given(Counter(straight=1, turn=1))
-    with pytest.raises(ConfigError, match="--aside has 1 readings, --measured 2"):
-        check_given_readings((2.0, 2.1), (0.1,), ())
-    with pytest.raises(ConfigError, match="--measured-deg nan"):
-        check_given_readings((), (), (math.nan,))
+        given.check(["straight", "turn"])
+    with pytest.raises(ConfigError, match="--aside: 1 readings for 2"):
+        GivenReadings((2.0, 2.1), (0.1,)).check(["straight"] * 2)
+    with pytest.raises(ConfigError, match="--measured-deg"):
+        GivenReadings(degrees=(math.nan,)).check(["turn"])
 
 
-def test_a_person_is_asked_again_until_the_answer_can_be_right() -> None:
-    questions: list[str] = []
-    answers = iter(["far", "nan", "1 2 3", "201", " 2.01, -0.02", ""])
-
-    def ask(question: str) -> str:
-        questions.append(question)
-        return next(answers)
-
-    job = CalibrationJob(ACSAR, {}, ask)
-    job.runs = [LINE, LEFT]
-    job.finish()
-    assert "straight 1" in questions[0]
-    assert "'far'" in questions[1]
-    assert "contradicts the odometry" in questions[4]
-    assert [reading.value for reading in job.runs[0].readings] == [2.01, -0.02]
-    assert job.runs[1].readings == ()
-
-
-def drive(job: CalibrationJob, plans: list[RunPlan], recorder: Recorder | None = None) -> None:
+def drive(
+    plans: list[RunPlan],
+    recorder: Recorder | None = None,
+    announce: Callable[[RunPlan], None] = lambda _: None,
+) -> list[CalibrationRun]:
+    """The runs, up to one whose announcement fails."""
+    runs: list[CalibrationRun] = []
     robot = Robot(open_link("planar", ACSAR), ACSAR, recorder=recorder)
-    drive_plans(job, robot, plans, None, lambda _: None, recorder)
+    with contextlib.suppress(LinkError):
+        drive_plans(robot, plans, None, runs=runs, announce=announce, recorder=recorder)
+    return runs
 
 
 def test_runs_that_ended_before_a_failure_are_there() -> None:
@@ -148,24 +136,18 @@ def test_runs_that_ended_before_a_failure_are_there() -> None:
         if plan.name == "straight 2":
             raise LinkError("unplugged")
 
-    job = CalibrationJob(ACSAR, check_given_readings((0.5, 0.5), (), ()))
-    with pytest.raises(LinkError, match="unplugged"):
-        drive_plans(job, Robot(open_link("planar", ACSAR), ACSAR), PLANS, None, fail)
-    job.finish()
-    assert [run.name for run in job.runs] == ["straight 1"]
-    assert job.runs[0].readings[0].source == "tape"  # truth isn't read where somebody measures
+    assert [run.name for run in drive(PLANS, announce=fail)] == ["straight 1"]
 
 
 def test_a_recording_holds_the_same_runs(tmp_path: Path) -> None:
     path = tmp_path / "runs.mcap"
-    job = CalibrationJob(ACSAR, {})
     plans = [*plan_straights(0.3, 0.4, 1), *plan_turns(0.5, (1.2,), (0.0,), 2)]
-    drive(job, plans, Recorder(path))
+    recorded = drive(plans, Recorder(path))
     runs = read_recorded_runs(path, "all", ACSAR)
     assert [(run.name, run.manoeuvre) for run in runs] == [
-        (run.name, run.manoeuvre) for run in job.runs
+        (run.name, run.manoeuvre) for run in recorded
     ]
-    for run, driven in zip(runs, job.runs, strict=True):
+    for run, driven in zip(runs, recorded, strict=True):
         assert np.abs(run.wheels[-1] - driven.wheels[-1]).max() < 1e-6
     assert len(read_recorded_runs(path, "turn", ACSAR)) == 2
     with pytest.raises(ConfigError, match=r"wheelbase is 0\.22 there and 0\.3 here"):

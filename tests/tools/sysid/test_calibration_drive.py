@@ -7,18 +7,17 @@ import math
 from typing import Any
 
 import pytest
-from sysid_tools import ACSAR
+from calibration_tools import ACSAR
 
 from acsar_gym import RobotConfig
 from acsar_gym.config import Geofence
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.links import open_link
 from acsar_gym.robot import Robot
-from acsar_gym.tools.sysid.calibration import configured_geometry, integrate_wheels
+from acsar_gym.tools.sysid.calibration import Geometry, integrate_wheels
 from acsar_gym.tools.sysid.calibration_drive import (
     SPACE_SLACK,
     RunPlan,
-    TruthReader,
     drive_run,
     find_needed_space,
     make_fence,
@@ -83,8 +82,8 @@ def make_robot(config: RobotConfig = ACSAR, twin: RobotConfig = ACSAR) -> Robot:
 def test_a_run_ends_where_it_should_and_tells_its_wheels(
     plan: RunPlan, end: tuple[float, ...]
 ) -> None:
-    run = drive_run(make_robot(), plan, TruthReader)
-    ends = integrate_wheels(run.wheels, configured_geometry(ACSAR), ACSAR.wheel_separation)
+    run = drive_run(make_robot(), plan, reads_truth=True)
+    ends = integrate_wheels(run.wheels, Geometry.of(ACSAR), ACSAR.wheel_separation)
     assert ends == pytest.approx(end, abs=0.04)
     readings = {reading.kind: reading.value for reading in run.readings}
     expected = {"distance": math.hypot(*ends[:2]), "aside": ends[1], "heading": ends[2]}
@@ -102,13 +101,14 @@ def test_an_emergency_stop_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None
     """Halfway, as `acsar-gym estop` asks for it."""
     robot, ticks = make_robot(), itertools.count()
 
-    def stop_late(*_: object) -> None:
+    def stop_late(*twist: float) -> None:
         if next(ticks) == 30:
             robot.estop()
+        Robot.drive(robot, *twist)
 
-    monkeypatch.setattr(TruthReader, "tick", stop_late)
+    monkeypatch.setattr(robot, "drive", stop_late)
     with pytest.raises(LinkError, match="emergency stop"):
-        drive_run(robot, LINE, TruthReader)
+        drive_run(robot, LINE)
     assert next(ticks) > 30
     assert not robot.active
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, LinkError, escape_unprintable
+from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.commands.identify import FoundRobotOptions, FoundRobotOutputs
 from acsar_gym.tools.cli.options import (
@@ -25,7 +25,7 @@ from acsar_gym.tools.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from acsar_gym.tools.sysid.calibration import CalibrationJob
+    from acsar_gym.tools.sysid.calibration import CalibrationRun, GivenReadings
     from acsar_gym.tools.sysid.calibration_drive import RunPlan
 
 Device = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE|FILE")]
@@ -77,6 +77,12 @@ class RunOptions:
     yes: bool = False
     """Don't ask before driving, for scripts."""
 
+    def readings(self) -> GivenReadings:
+        """Return the readings."""
+        from acsar_gym.tools.sysid.calibration import GivenReadings  # noqa: PLC0415
+
+        return GivenReadings(self.measured, self.aside, self.measured_deg)
+
     def plans(self, manoeuvre: Manoeuvre, config: RobotConfig) -> list[RunPlan]:
         """The runs of a manoeuvre, or of both: as many as readings, or as asked for."""
         from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
@@ -93,19 +99,20 @@ class RunOptions:
             top = min(config.max_angular, config.max_linear / max(*self.radii, 1e-9))
             speeds = self.speeds or tuple(share * top for share in shares)
             for speed in speeds:
-                _check_speed("--speeds", speed, config.max_angular, "max_angular")
+                _check_speed("--speeds", speed, config.max_angular, field="max_angular")
                 fastest = max(speed * max(self.radii, default=0.0), 1e-9)
-                _check_speed("--speeds times --radii", fastest, config.max_linear, "max_linear")
+                _check_speed(
+                    "--speeds times --radii", fastest, config.max_linear, field="max_linear"
+                )
             kinds = max(1, len(speeds) * len(self.radii))
             repeats = self.repeats or max(1, len(self.measured_deg) // kinds)
             plans += calibration_drive.plan_turns(self.turns, speeds, self.radii, repeats)
         return plans
 
 
-def _check_speed(option: str, value: float, most: float, field: str) -> None:
-    """Raise ConfigError unless 0 < value <= most."""
-    if not 0.0 < value <= most:
-        raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {most:g}")
+def _check_speed(option: str, value: float, limit: float, field: str) -> None:
+    if not 0.0 < value <= limit:
+        raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {limit:g}")
 
 
 @command("calibrate", "robots", drives=True)
@@ -120,9 +127,8 @@ def calibrate_robot(
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
 
     The robot drives within --space, and you measure with a tape where the point below its centre
-    ended: it asks after each run (in scripts: --measured, --aside, --measured-deg; or --record FILE
-    now, and FILE as DEVICE with the readings later). Lengths are positive; right turns are positive
-    or negative. In simulation the truth measures.
+    ended. Record the runs with --record FILE, then give FILE as DEVICE with the readings:
+    --measured, --aside, --measured-deg. In simulation the truth measures.
 
     Args:
         device: serial device, planar, bullet, mujoco; or a recording of runs that were driven
@@ -133,63 +139,90 @@ def calibrate_robot(
         host: process priority and cores; whether the emergency stop may be missing.
         output: results.
     """
-    from acsar_gym.links import open_link  # noqa: PLC0415
-    from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
     from acsar_gym.recording import read  # noqa: PLC0415
-    from acsar_gym.robot import Robot  # noqa: PLC0415
-    from acsar_gym.tools.sysid import calibration, calibration_drive  # noqa: PLC0415
+    from acsar_gym.tools.sysid import calibration  # noqa: PLC0415
 
     check_writable(output.json, robot=output.out, force=output.force)
-    recorded, simulated = device.endswith(".mcap"), device in BODIES
-    if recorded:
-        driving = (("--twin", setup.twin), ("--record", setup.record))
-        check_not_given(driving)
-    recording = read(Path(device)) if recorded else None
-    if recording is not None and setup.robot is None:
-        config = recording.config
-    else:
-        config = RobotConfig.of(setup.robot)
-    ask = _ask_reading if sys.stdin.isatty() else None
-    given = calibration.check_given_readings(runs.measured, runs.aside, runs.measured_deg)
-    job = calibration.CalibrationJob(config, given, ask)
-    if recording is not None:
-        job.in_ros = any(episode.wire.stamped for episode in recording.episodes)
-        job.runs = calibration.read_recorded_runs(Path(device), manoeuvre, config)
-        job.check_given(Counter(run.manoeuvre for run in job.runs))
-        return _finish_calibration(job, output)
+    if not device.endswith(".mcap"):
+        return _drive_and_finish(device, manoeuvre, runs, setup=setup, host=host, output=output)
+
+    check_not_given((("--twin", setup.twin), ("--record", setup.record)))
+    recording = read(Path(device))
+    config = recording.config if setup.robot is None else RobotConfig.of(setup.robot)
+    given = runs.readings()
+    recorded = calibration.read_recorded_runs(Path(device), manoeuvre, config)
+    given.check([run.manoeuvre for run in recorded])
+    in_ros = any(episode.wire.stamped for episode in recording.episodes)
+    return _finish_calibration(given.give(recorded), config, output, in_ros=in_ros)
+
+
+def _drive_and_finish(
+    device: str,
+    manoeuvre: Manoeuvre,
+    options: RunOptions,
+    *,
+    setup: FoundRobotOptions,
+    host: HostOptions,
+    output: FoundRobotOutputs,
+) -> int:
+    """Drive the runs; returns the exit code."""
+    from acsar_gym.links import open_link  # noqa: PLC0415
+    from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
+    from acsar_gym.robot import Robot  # noqa: PLC0415
+    from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
+
+    simulated = device in BODIES
+    config = RobotConfig.of(setup.robot)
+    plans = options.plans(manoeuvre, config)
+    given = options.readings()
+    if not (given.check([plan.manoeuvre for plan in plans]) or simulated or setup.record):
+        raise ConfigError(
+            "nobody would measure: add --record FILE and give the readings later, or give "
+            "--measured or --measured-deg"
+        )
     link = open_link(device, setup.driven(config, device))
-    job.in_ros = link.stamped
     host.prepare(device)
     recorder = setup.recorder("calibrate", link=device)
-    robot = Robot(link, config, recorder=recorder)
-    plans = runs.plans(manoeuvre, config)
+    runs: list[CalibrationRun] = []
 
-    def announce(plan: RunPlan) -> None:
-        _announce_run(device, runs, plan, simulated=simulated)
+    def finish() -> int:
+        record = setup.record
+        return _finish_calibration(
+            given.give(runs), config, output, in_ros=link.stamped, record=record
+        )
 
     try:
-        calibration_drive.drive_plans(job, robot, plans, runs.space, announce, recorder)
+        calibration_drive.drive_plans(
+            Robot(link, config, recorder=recorder),
+            plans,
+            options.space,
+            runs=runs,
+            announce=lambda plan: _announce_run(device, options, plan, simulated=simulated),
+            recorder=recorder,
+            reads_truth=simulated and not given.measured and not given.degrees,
+        )
     except LinkError:
-        if job.runs:
-            say(f"{len(job.runs)} finished runs are used")
+        if runs:
+            say(f"{len(runs)} finished runs are used")
             with contextlib.suppress(ConfigError):  # too few; what ended them counts more
-                _finish_calibration(job, output)
+                finish()
         raise
-    return _finish_calibration(job, output, setup.record)
+    return finish()
 
 
 def _finish_calibration(
-    job: CalibrationJob, output: FoundRobotOutputs, record: Path | None = None
+    runs: Sequence[CalibrationRun],
+    config: RobotConfig,
+    output: FoundRobotOutputs,
+    *,
+    in_ros: bool,
+    record: Path | None = None,
 ) -> int:
-    """Read, fit, print and write; returns the exit code."""
+    """Fit, print and write; returns the exit code."""
     from acsar_gym.tools.sysid import calibration_fit  # noqa: PLC0415
 
-    config = job.config
-    job.finish()
-    if not any(run.readings for run in job.runs):
-        print_results(
-            json=output.json, data=calibration_fit.format_calibration(None, job.runs, config)
-        )
+    if not any(run.readings for run in runs):
+        print_results(json=output.json, data=calibration_fit.format_calibration(None, runs, config))
         hint = "no run has a reading: nothing was found"
         if record is not None:
             hint += f"; give them later: acsar-gym calibrate {record} all --measured ..."
@@ -197,45 +230,37 @@ def _finish_calibration(
         if output.out is not None:
             say(f"{output.out} isn't written: there are no readings yet")
         return 0
-    fit = calibration_fit.fit_geometry(job.runs, config)
+
+    fit = calibration_fit.fit_geometry(runs, config)
     print_results(
-        calibration_fit.runs_table(job.runs, fit, config),
+        calibration_fit.runs_table(fit, config),
         calibration_fit.calibration_table(fit, config),
         json=output.json,
-        data=calibration_fit.format_calibration(fit, job.runs, config),
+        data=calibration_fit.format_calibration(fit, runs, config),
     )
-    if output.out is not None:
-        found = calibration_fit.make_calibrated_config(fit, config, in_ros=job.in_ros)
-        found.save(output.out, force=output.force)
-        say(f"written: {output.out}; use it with --robot {output.out}")
-        if job.in_ros:
-            say(
-                "its controller takes twists by its own radii and separation, which are in ros2 of "
-                "the file. Better set the found ones in its parameters and delete wheel_radii and "
-                "wheel_separation from ros2"
-            )
+    if output.out is None:
+        return 0
+    calibrated = calibration_fit.make_calibrated_config(fit, config, in_ros=in_ros)
+    calibrated.save(output.out, force=output.force)
+    say(f"written: {output.out}; use it with --robot {output.out}")
+    if in_ros:
+        say(
+            "its controller takes twists by its own radii and separation, which are in ros2 of the "
+            "file. Better set the found ones in its parameters and delete wheel_radii and "
+            "wheel_separation from ros2"
+        )
     return 0
 
 
-def _announce_run(device: str, run: RunOptions, plan: RunPlan, *, simulated: bool) -> None:
-    """Ask before a real robot drives; say what is driven."""
-    asks = sys.stdin.isatty() and not run.yes
-    if not (simulated or run.yes or asks):
-        countdown(f"{device}: the robot would drive", yes=False)  # says to add --yes
+def _announce_run(device: str, options: RunOptions, plan: RunPlan, *, simulated: bool) -> None:
+    """Wait until a real robot is in its place; say what is driven."""
     say(f"{plan.name} ...")
     if simulated:
         return
-    if asks:
-        x, y = run.space or (0.0, 0.0)
-        start = "leave the robot where it is" if plan.back else "put the robot on its start mark"
+    if sys.stdin.isatty() and not options.yes:
+        x, y = options.space or (0.0, 0.0)
+        place = "leave the robot where it is" if plan.back else "put the robot on its start mark"
         room = f"with {x:g} m free ahead and {y:g} m to each side"
-        _ask_reading(f"{start}, {room}, then press Enter")
-    countdown(f"{device}: the robot will drive: {plan.name}", yes=run.yes)
-
-
-def _ask_reading(question: str) -> str:
-    """Ask on the terminal; an end of the input is an empty answer."""
-    try:
-        return input(f"{escape_unprintable(question)}: ")
-    except EOFError:
-        return ""
+        with contextlib.suppress(EOFError):
+            input(f"note where it ended, {place}, {room}, then press Enter: ")
+    countdown(f"{device}: the robot will drive: {plan.name}", yes=options.yes)

@@ -17,7 +17,6 @@ from acsar_gym.tools.cli.options import (
     RecordOptions,
     ResultOptions,
     RobotArg,
-    ask_user,
     check_writable,
     countdown,
     print_results,
@@ -37,7 +36,7 @@ class SpinOptions(RecordOptions):
     """Turn the wheels, one after the other and together, to find how they are wired: lift the
     robot!"""
     yes: bool = False
-    """Turn them without a countdown, and don't ask which one turned."""
+    """Turn them without a countdown."""
     saw: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="A B C D")] = None
     """The wheel that was seen to turn (a front right, b front left, c rear left, d rear right) when
     the board's wheel letters a, b, c, d were commanded forward, such as b a d c; with an n behind
@@ -68,11 +67,11 @@ def examine_robot(
         robot: preset or config file.
         baud_rate: overrides the baud rate of the robot; a slow one lowers its control_rate, too.
     """
-    from acsar_gym.tools.commission import examine  # noqa: PLC0415
+    from acsar_gym.tools.commission import device as serial_device  # noqa: PLC0415
 
     config = RobotConfig.of(robot)
     if baud_rate is not None:
-        config = examine.at_baud_rate(config, baud_rate)
+        config = serial_device.at_baud_rate(config, baud_rate)
     device = device or config.serial_port
     output.check()
     if device is not None and (device == "ros2" or device.startswith("ros2:")):
@@ -105,35 +104,35 @@ def _run_checks(
     device: str | None, config: RobotConfig, output: ResultOptions, spinning: SpinOptions
 ) -> int:
     """Run the checks of the serial port; returns the exit code."""
-    from acsar_gym.tools.commission import checks, examine, wiring  # noqa: PLC0415
+    from acsar_gym.tools.commission import board_checks, checks, wiring  # noqa: PLC0415
+    from acsar_gym.tools.commission.device import examine_device  # noqa: PLC0415
 
-    turning, stop = None, None
+    board = board_checks.BoardExamination(config, spin=spinning.spin)
     if spinning.spin:
         if device is None:
             raise ConfigError("--spin needs a device, such as /dev/ttyUSB0")
         check_writable(robot=spinning.out, force=output.force)
-        eyes = None if spinning.saw is None else wiring.parse_all_seen(spinning.saw)
-        what = f"the wheels of the robot on {device} will turn: lift it"
-        countdown(what, yes=spinning.yes)
-        asks = eyes is None and not spinning.yes
-        turning = wiring.Commission(eyes=eyes, ask=ask_user if asks else None)
+        if spinning.saw is not None:
+            board.seen = wiring.parse_seen(spinning.saw)
+        countdown(
+            f"the wheels a, b, c, d of the robot on {device} will turn one after the other, then "
+            "all together: lift it, and note which wheel turns for each letter",
+            yes=spinning.yes,
+        )
     elif spinning.out is not None or spinning.saw is not None:
         raise ConfigError("--out and --saw need --spin, which turns the wheels")
-    found = [checks.check_ports(device), checks.check_estop()]
+
+    stop = None
+    rows = [checks.check_ports(device), checks.check_estop()]
     if device is not None:
         recorder = spinning.recorder("doctor", link=device)
         try:
-            found.extend(examine.examine_device(device, config, turning, recorder))
+            rows.extend(examine_device(device, config, board.run, recorder))
         except EmergencyStopError as error:
             stop = error
-    if turning is not None and spinning.out is not None:
-        if turning.finished:
-            found.append(turning.save(config, spinning.out, force=output.force))
-        else:
-            said = f"{spinning.out} isn't written: not all was found"
-            fix = "mend what failed, and start again"
-            found.append(checks.Check("robot file", "skip", said, fix))
-    code = _print_checks(found, output)
+    if spinning.out is not None:
+        rows.append(board.save(spinning.out, force=output.force))
+    code = _print_checks(rows, output)
     if stop is not None:
         raise stop
     return code

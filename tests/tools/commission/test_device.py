@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -24,9 +25,9 @@ from acsar_gym.errors import EmergencyStopError
 from acsar_gym.guard.estop import StopListener
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.tools.cli import main
-from acsar_gym.tools.commission import examine
+from acsar_gym.tools.commission.board_checks import BoardExamination
 from acsar_gym.tools.commission.checks import Check
-from acsar_gym.tools.commission.wiring import Commission
+from acsar_gym.tools.commission.device import at_baud_rate, examine_device
 from acsar_gym.tools.sysid import board
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -37,17 +38,14 @@ ACSAR = RobotConfig.preset("acsar")
 
 @pytest.fixture(autouse=True)
 def hurry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Listen shorter than at the command line, and wait for what comes on a busy machine, too."""
+    """Listen shorter than at the command line."""
     monkeypatch.setattr(board, "LISTEN_TIME", 0.2)
-    monkeypatch.setattr(board, "RESPONSE_TRIALS", 2)
-    for name in ("START_TIMEOUT", "STEADY_TIMEOUT"):
-        monkeypatch.setattr(board, name, TIMEOUT)
+    monkeypatch.setattr(board, "DELAY_TRIALS", 2)
+    monkeypatch.setattr(board, "LONGEST_TIMEOUT", 1.0)
 
 
-def examined(device: str, config: RobotConfig, *, spin: bool = False) -> dict[str, Check]:
-    with no_leak():
-        commission = Commission() if spin else None
-        return {check.name: check for check in examine.examine_device(device, config, commission)}
+def examined(device: str, config: RobotConfig) -> Iterator[Check]:
+    return examine_device(device, config, BoardExamination(config).run)
 
 
 def reported(path: Path) -> dict[str, dict[str, str]]:
@@ -100,9 +98,9 @@ def test_spin_measures_round_trip_and_stop(
 SPINS = """
 import os, signal, sys
 from acsar_gym import RobotConfig
-from acsar_gym.tools.commission import examine
+from acsar_gym.tools.commission.device import StoppableLink
 from acsar_gym.protocol import encode
-link = examine.StoppableLink(sys.argv[1], RobotConfig().with_(watchdog_timeout=5.0))
+link = StoppableLink(sys.argv[1], RobotConfig().with_(watchdog_timeout=5.0))
 link.open()
 for tick in range(100):
     link.write(encode((0.0, 0.0, 0.0, 6.0), trailing_comma=False))
@@ -127,7 +125,8 @@ def test_a_board_is_stopped_whichever_zeros_it_takes(
 
 def test_a_wrong_baud_rate_and_the_right_one(shared_device: str, config: RobotConfig) -> None:
     wrong = config.with_(baud_rate=57600, connect_timeout=1.0)
-    checks = examined(shared_device, wrong)
+    with no_leak():
+        checks = {check.name: check for check in examined(shared_device, wrong)}
     assert [check.status for check in checks.values()] == ["fail", "warn"]
     assert "57600" in checks["first valid line"].found
     assert checks["first valid line"].fix == "see the next row"
@@ -141,7 +140,7 @@ def test_a_device_lost_during_the_examination(
     emulator = start_emulator()
     checks = []
     with no_leak():
-        for check in examine.examine_device(emulator.device, config):
+        for check in examined(emulator.device, config):
             checks.append(check)
             if check.name == "first valid line":
                 emulator.kill()
@@ -156,7 +155,7 @@ def test_an_emergency_stop_is_the_last_check(
     monkeypatch.setattr(StopListener, "is_requested", lambda _: bool(requested))
     checks = []
     with no_leak(), pytest.raises(EmergencyStopError) as caught:
-        for check in examine.examine_device(shared_device, config):
+        for check in examined(shared_device, config):
             checks.append(check)
             if check.name == "first valid line":
                 requested.append(True)
@@ -201,5 +200,5 @@ def test_bad_options(arguments: tuple[str, ...], said: str) -> None:
 
 @pytest.mark.parametrize(("baud", "rate"), [(9600, 20.0), (19200, 50.0), (38400, 100.0)])
 def test_a_slow_line_lowers_the_control_rate(baud: int, rate: float) -> None:
-    robot = examine.at_baud_rate(ACSAR, baud)
+    robot = at_baud_rate(ACSAR, baud)
     assert (robot.baud_rate, robot.control_rate) == (baud, rate)
