@@ -85,7 +85,8 @@ class MissingExtraError(AcsarError):
     exit_code = 2
 
     def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f"{feature} needs an extra: pip install 'acsar_gym[{extra}]'")
+        command = f"pip install --constraint constraints.txt '.[{extra}]'"
+        super().__init__(f"{feature} needs an extra, in the checkout: {command}")
 
 
 class PolicyError(AcsarError):

@@ -38,7 +38,7 @@ SLOW_MODULES = ("acsar_gym.vector.kernel.", "acsar_gym.sensors.map.")
 """Modules whose functions take long to compile."""
 SLOW_TO_COMPILE = (
     "acsar_gym: compiling for a quarter of a minute, once after each installation. "
-    "'acsar-gym warm-up' does it ahead of time"
+    "'acsar-gym train --warm-up' does it ahead of time"
 )
 CANNOT_CACHE = (
     "acsar_gym: compiled code can't be kept, so every process compiles again: "

@@ -10,39 +10,31 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.envs.ids import full_id
-from acsar_gym.physics import Randomization
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.policies import OnnxPolicy
-from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, describe_policy
+from acsar_gym.tools.policies.document import DOCUMENT_KEY, PolicyDocument, describe_policy
 
 GOOD = AGENTS / "policies" / "point_goal.onnx"
 VARIED: dict[str, Any] = {"friction": (0.7, 1.2), "motor_lag": (0.6, 1.5)}
 ENV_ID = "acsar_gym/PointGoal-v0"
 
 
-def bundle_of(path: Path = GOOD) -> Bundle:
-    """The bundle of a policy file."""
-    return OnnxPolicy(path).bundle
+def document_of(path: Path = GOOD) -> PolicyDocument:
+    """The document of a policy file."""
+    return OnnxPolicy(path).document
 
 
 def changed(**values: Any) -> dict[str, Any]:
-    """The bundle of GOOD as JSON has it, with other values; "robot__name" is one inside."""
-    data: dict[str, Any] = bundle_of().model_dump(mode="json")
-    for name, value in values.items():
-        *parents, last = name.split("__")
-        place = data
-        for parent in parents:
-            place = place[parent]
-        place[last] = value
-    return data
+    """The document of GOOD as JSON has it, with other values."""
+    return {**document_of().model_dump(mode="json"), **values}
 
 
 def relabelled(path: Path, **values: Any) -> Path:
-    """A copy of a policy that comes along, whose bundle has other values."""
+    """A copy of a packaged policy, whose document has other values."""
     import onnx
 
     model = onnx.load(GOOD)
-    onnx.helper.set_model_props(model, {BUNDLE_KEY: json.dumps(changed(**values))})
+    onnx.helper.set_model_props(model, {DOCUMENT_KEY: json.dumps(changed(**values))})
     onnx.save(model, path)
     return path
 
@@ -88,11 +80,8 @@ class Maker:
         graph = helper.make_graph(self._nodes, "g", self._inputs, [output], self._weights)
         opsets = [helper.make_opsetid(domain, version) for domain, version in self.domains]
         model = helper.make_model(graph, opset_imports=opsets, ir_version=10)
-        data = changed()
-        if self._width != 7:
-            names, ends = [f"n{n}" for n in range(self._width)], [0.0] * self._width
-            data = changed(observation__names=names, observation__low=ends, observation__high=ends)
-        helper.set_model_props(model, {BUNDLE_KEY: json.dumps(data)})
+        data = changed(width=self._width)
+        helper.set_model_props(model, {DOCUMENT_KEY: json.dumps(data)})
         return model
 
     def bytes(self) -> bytes:
@@ -112,8 +101,6 @@ def counting(path: Path, shape: tuple[Any, ...] = (1, 2), dtype: int = 1, output
     model = make.model()
     model.graph.input.append(value("count", dtype, shape))
     model.graph.output.extend([value("next", dtype, shape)] * outputs)
-    state = [{"input": "count", "output": "next", "shape": [1, 2]}]
-    model.metadata_props[0].value = json.dumps(changed(state=state))
     path.write_bytes(model.SerializeToString())
     return path
 
@@ -126,20 +113,19 @@ def fitting(path: Path, env_id: str, width: int | None = None, **options: Any) -
     import gymnasium
 
     env: Any = gymnasium.make(full_id(env_id), link="planar", **options)
-    varied = Randomization(**VARIED)
-    bundle = describe_policy(env.unwrapped, env_id, randomization=varied, width=width)
+    document = describe_policy(env.unwrapped, env_id, randomization=VARIED, width=width)
     env.close()
-    make = Maker(bundle.observation.width)
-    make.dense("observation", bundle.observation.width)
+    make = Maker(document.width)
+    make.dense("observation", document.width)
     model = make.model()
     del model.metadata_props[:]
-    model.metadata_props.add(key=BUNDLE_KEY, value=bundle.as_json())
+    model.metadata_props.add(key=DOCUMENT_KEY, value=document.as_json())
     path.write_bytes(model.SerializeToString())
     return path
 
 
 def other_width() -> bytes:
-    make = Maker(width=9)
+    make = Maker()
     make.dense("observation", 9)
     return make.bytes()
 

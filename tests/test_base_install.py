@@ -86,5 +86,6 @@ def test_the_base_drives_over_a_serial_device(hidden: list[str], shared_device: 
 def test_what_needs_an_extra_is_one_line(hidden: list[str], command: str, said: str) -> None:
     what, extra = said.split(": ")
     code, _, err = run(hidden, "planar", *command.split())
-    assert err == f"acsar-gym: {what} needs an extra: pip install 'acsar_gym[{extra}]'\n"
+    command = f"pip install --constraint constraints.txt '.[{extra}]'"
+    assert err == f"acsar-gym: {what} needs an extra, in the checkout: {command}\n"
     assert code == 2

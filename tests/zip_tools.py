@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.tools.policies.bundle import describe_policy
+from acsar_gym.tools.policies.document import describe_policy
 
 NAMES = ("PPO", "A2C", "SAC", "TD3", "DDPG")
 PLACES = ("data", "policy.pth", "pytorch_variables.pth", "policy.optimizer.pth")
@@ -37,7 +37,7 @@ def save(
     **options: Any,
 ) -> Path:
     """A small model with random weights: untrained ones have actions that are all about zero."""
-    from acsar_gym.tools.policies import sb3
+    from acsar_gym.tools.policies import sb3_export
 
     options["policy_kwargs"] = {"net_arch": [8]} | (net or {})
     env = gymnasium.make(env_id, link="planar")
@@ -47,7 +47,7 @@ def save(
     inner = env.unwrapped
     assert isinstance(inner, RobotEnv)
     if label:
-        sb3.label(model, describe_policy(inner, inner.task.id))
+        sb3_export.label(model, describe_policy(inner, inner.task.id))
     model.save(path)
     env.close()
     return path

@@ -77,9 +77,9 @@ def draw_worlds(worlds: Sequence[World], columns: int, size: int, out: Path) -> 
         )
     image = np.full((rows * size, columns * size, 3), top_view.FLOOR_COLOUR, np.uint8)
     for index, world in enumerate(report.watch_progress("drawing worlds", worlds, len(worlds))):
-        top = size * (index // columns)
-        left = size * (index % columns)
-        image[top : top + size, left : left + size] = draw_tile(world, size)
+        row = size * (index // columns)
+        column = size * (index % columns)
+        image[row : row + size, column : column + size] = draw_tile(world, size)
     top_view.save_picture(image, out)
 
 

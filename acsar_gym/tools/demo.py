@@ -14,7 +14,8 @@ from acsar_gym.tools.evaluation import report, runs
 from acsar_gym.tools.evaluation.episode import odometry_errors
 from acsar_gym.tools.evaluation.runs import EvaluationRun
 from acsar_gym.tools.policies import OnnxPolicy
-from acsar_gym.tools.training.plan import TrainingOptions, require_training
+from acsar_gym.tools.training.options import TrainingOptions
+from acsar_gym.tools.training.run import require_training, train
 from acsar_gym.tools.warm_up import warm_env
 
 
@@ -26,7 +27,8 @@ def run_demo(
         if find_spec(module) is None:
             raise MissingExtraError("the demo", extra)
     require_training()
-    console, log = report.SafeConsole(), out / "emulator.jsonl"
+    console = report.SafeConsole()
+    log = out / "emulator.jsonl"
     console.rule("1. train PPO on simulated robots", align="left")
     with console.status("compiling, once after each installation: a minute"):
         warm_env("point_goal")
@@ -46,17 +48,12 @@ def run_demo(
 
 def train_demo_policy(steps: int, out: Path) -> Path:
     """Train in this process."""
-    from acsar_gym.tools.training import run as training  # noqa: PLC0415 - imports torch
-
-    code = training.train(TrainingOptions(steps=steps, out=out))
-    if code != 0:
-        raise SystemExit(code)
-    return out / "policy.onnx"
+    return train(TrainingOptions(steps=steps, out=out)).out / "policy.onnx"
 
 
 def _drive(policy: OnnxPolicy, link: str, seeds: range, robot: RobotConfig | None) -> EvaluationRun:
     """Evaluate a policy, however busy the computer is; raises what ended the evaluation early."""
-    run = runs.evaluate_policy(policy, link, robot, seeds, how={"late_share": 1.0})
+    run = runs.evaluate_policy(policy, link, robot, seeds, late_share=1.0)
     if run.ended is not None:
         raise run.ended
     return run

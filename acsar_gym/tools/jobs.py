@@ -1,21 +1,18 @@
 """Runs independent jobs in this process, in several processes, or on a Ray cluster.
 
-    for number, result in completed(function, jobs, workers=4): ...
-
-Evaluations, the benchmark and trainings of several seeds all go through `completed`: joblib's loky
-on one machine, Ray's tasks on a cluster.
+for number, result in run_jobs(function, jobs, workers=4): ...
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
 import os
 import signal
 import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from itertools import islice
 from typing import Any, TypeVar
 
 import acsar_gym
@@ -30,68 +27,58 @@ from acsar_gym.errors import (
 
 J = TypeVar("J")
 R = TypeVar("R")
-MAX_WORKERS = 1024  # most processes of one machine
-MAX_RETRIES = 3  # how often a job of a cluster is run again after the machine that ran it died
+Results = Generator[tuple[int, R], None, None]
+Calls = Sequence[tuple[str, Callable[[Any], Any], int, Any]]
+"""Arguments of `_run_job`."""
+MAX_WORKERS = 1024
+"""Most processes of one machine; any number far above its cores will do."""
+MAX_RETRIES = 3
+"""How often Ray runs a job again after the machine that ran it died."""
 CLUSTER_TIMEOUT = 5.0
-"""How long a cluster may take to answer, and interrupted jobs to close their links [s]."""
-MIN_QUEUED_JOBS = 100
-"""Jobs that are sent to a cluster at once, at least; its autoscaler counts those that wait."""
+"""How long a cluster may take to answer [s]; Ray itself tries for minutes."""
 START_HINT = "start a cluster with 'ray start --head', or run without --address"
 
 
-def completed(
+def run_jobs(
     function: Callable[[J], R],
     jobs: Iterable[J],
-    *,
     workers: int | None = None,
     address: str | None = None,
-) -> Generator[tuple[int, R], None, None]:
+) -> Results[R]:
     """Run `function` on every job and yield the results in order of completion.
 
-    One worker without an address is this process. The jobs of a cluster's machine that dies are run
-    again, at most `MAX_RETRIES` times. Closing the iterator ends running jobs.
+    One worker without an address is this process. Closing the iterator ends running jobs.
 
     Args:
-        function: can be imported from where it is defined: no lambda and no closure.
-        jobs: plain values, such as frozen dataclasses; they are pickled.
-        workers: most jobs at a time; None means 1, and with an address one per CPU.
-        address: of a Ray cluster: "local" starts one here; "auto", "host:port", "ray://host:port".
+        function: Can be imported from where it is defined: no lambda and no closure.
+        jobs: Values that can be pickled.
+        workers: Most jobs at a time; None means 1, and with an address as many as the cluster has
+            CPUs.
+        address: Address of a Ray cluster: "local" starts one here; "auto", "host:port",
+            "ray://host:port".
 
     Yields:
         Number of a job, from 0 on, and its result.
 
     Raises:
         ConfigError: `workers` or `address` can't be used.
-        LinkError: no cluster answers at the address.
+        LinkError: No cluster answers at the address.
         AcsarError: A process that ran a job ended, or the job raised an error. An AcsarError of a
             job is raised as it is. In this process, every error is.
     """
     if workers is not None and not 1 <= workers <= MAX_WORKERS:
         raise ConfigError(f"--workers {show_value(workers)}: must be 1 to {MAX_WORKERS:,}")
-    listed = list(jobs)
-    if not listed or (address is None and workers in (None, 1)):
-        return ((number, function(job)) for number, job in enumerate(listed))
-    numbered = [(acsar_gym.__version__, function, *pair) for pair in enumerate(listed)]
+    numbered = list(enumerate(jobs))
+    if not numbered or (address is None and workers in (None, 1)):
+        return ((number, function(job)) for number, job in numbered)
+
+    calls = [(acsar_gym.__version__, function, *job) for job in numbered]
     if address is None:
-        return _collect(_run_in_processes(numbered, min(workers or 1, len(listed))))
-    return _collect(_run_on_cluster(numbered, workers, address))
+        return _run_in_processes(calls, min(workers or 1, len(calls)))
+    return _run_on_cluster(calls, workers or len(calls), address)
 
 
-Task = tuple[str, Callable[[Any], Any], int, Any]
-Attempts = Generator[tuple[int, Any, AcsarError | None], None, None]
-
-
-def _collect(attempts: Attempts) -> Generator[tuple[int, Any], None, None]:
-    """Yield results, and raise the first error."""
-    with contextlib.closing(attempts):
-        for number, result, error in attempts:
-            if error is not None:
-                raise error
-            yield number, result
-
-
-def _run_in_processes(tasks: Sequence[Task], workers: int) -> Attempts:
-    """Attempt tasks in processes of this machine."""
+def _run_in_processes(calls: Calls, workers: int) -> Results[Any]:
     with require_extra("several processes", "scipy"):
         import joblib  # noqa: PLC0415 - optional
         from joblib.externals.loky.process_executor import BrokenProcessPool  # noqa: PLC0415
@@ -99,44 +86,57 @@ def _run_in_processes(tasks: Sequence[Task], workers: int) -> Attempts:
     with joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
         with _ignored_interrupts():  # which the processes inherit
-            attempts = parallel(joblib.delayed(_attempt_task)(task) for task in tasks)
-    try:
-        for attempt in attempts:  # noqa: UP028 - `yield from` would close it before the `finally`
-            yield attempt
-    except BrokenProcessPool as error:
-        raise _explain_death(error) from error
-    finally:
-        with warnings.catch_warnings():  # of jobs that are ended
-            warnings.simplefilter("ignore")
-            attempts.close()
+            results = parallel(joblib.delayed(_run_job)(*call) for call in calls)
 
-
-def _run_on_cluster(tasks: Sequence[Task], workers: int | None, address: str) -> Attempts:
-    """Attempt tasks on a Ray cluster.
-
-    By Ray's own tasks: `ray.util.joblib` tells nothing before the last job has ended, and doesn't
-    run the jobs of a dead machine again.
-    """
-    with connect_cluster(address, workers) as ray:
-        remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_attempt_task)
-        most = workers or max(MIN_QUEUED_JOBS, 2 * int(ray.cluster_resources().get("CPU", 1)))
-        queue = iter(tasks)
-        running: list[Any] = []
+    with warnings.catch_warnings(), contextlib.closing(results):
+        warnings.simplefilter("ignore")  # of jobs that are ended
         try:
-            while True:
-                running += [remote.remote(t) for t in itertools.islice(queue, most - len(running))]
-                if not running:
-                    return
+            yield from results
+        except BrokenProcessPool as error:
+            raise _explain_death(error) from error
+
+
+def _run_on_cluster(calls: Calls, workers: int, address: str) -> Results[Any]:
+    with connect_cluster(address, workers) as ray:
+        remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_run_job)
+        waiting = iter(calls)
+        running = [remote.remote(*call) for call in islice(waiting, workers)]
+
+        try:
+            while running:
                 (done,), running = ray.wait(running, num_returns=1)
+                running += [remote.remote(*call) for call in islice(waiting, 1)]
                 yield ray.get(done)
+        except ray.exceptions.RayTaskError as error:
+            raise error.cause from error
         except ray.exceptions.RayError as error:
             raise _explain_death(error) from error
         finally:
             with contextlib.suppress(ray.exceptions.RayError, ConnectionError, KeyboardInterrupt):
-                for attempt in running:  # interrupts the jobs, which then close their links
-                    ray.cancel(attempt, force=False)
+                for job in running:  # interrupts the jobs, which then close their links
+                    ray.cancel(job, force=False)
                 if running:
                     ray.wait(running, num_returns=len(running), timeout=CLUSTER_TIMEOUT)
+
+
+def _run_job(version: str, function: Callable[[Any], Any], number: int, job: Any) -> Any:
+    """Run a job in another process; every error becomes one that can be pickled."""
+    if number:  # the process of the first job reports already that it compiles
+        logging.getLogger("acsar_gym.jit").setLevel(logging.ERROR)
+    if version != acsar_gym.__version__:
+        versions = f"has acsar_gym {acsar_gym.__version__}, this machine {version}"
+        fix = "install the same version everywhere"
+        raise LinkError(f"a machine of the cluster {versions}", fix)
+
+    try:
+        return number, function(job)
+    except AcsarError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the message names where it was raised
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        reason = f"{type(error).__name__}: {escape_unprintable(str(error))}"
+        place = f"({frame.filename}, line {frame.lineno})"
+        raise AcsarError(f"job {show_value(job)}: {reason} {place}") from None
 
 
 def _explain_death(error: BaseException) -> AcsarError:
@@ -148,45 +148,23 @@ def _explain_death(error: BaseException) -> AcsarError:
 
 @contextlib.contextmanager
 def _ignored_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which reaches this one, too; it ends them."""
+    """Start processes that ignore Ctrl-C: it reaches this process too, which ends them."""
     try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     except ValueError:  # not the main thread
         yield
         return
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def _attempt_task(task: Task) -> tuple[int, Any, AcsarError | None]:
-    """Run one job in another process; returns its number and result, or the error to raise."""
-    version, function, number, job = task
-    if number:  # another process says already that it compiles
-        logging.getLogger("acsar_gym.jit").setLevel(logging.ERROR)
-    if version != acsar_gym.__version__:
-        error = LinkError(
-            f"a machine of the cluster has acsar_gym {acsar_gym.__version__}, this one {version}",
-            "install the same version everywhere",
-        )
-        return number, None, error
-    try:
-        return number, function(job), None
-    except AcsarError as error:
-        return number, None, error
-    except Exception as error:  # noqa: BLE001 - it is raised where the jobs were started
-        frames = traceback.extract_tb(error.__traceback__)
-        place = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
-        said = f"{type(error).__name__}: {escape_unprintable(str(error))}{place}"
-        return number, None, AcsarError(f"job {show_value(job)}: {said}")
+        signal.signal(signal.SIGINT, handler)
 
 
 @contextlib.contextmanager
 def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
     """Connect to a cluster, or start one of `workers` CPUs here; yields the module `ray`.
 
-    A connection that exists already is used and kept. Addresses and errors as for `completed`.
+    A connection that exists already is used and kept. Addresses and errors as for `run_jobs`.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     with require_extra("--address", "scale"):
@@ -195,9 +173,11 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
     if ray.is_initialized():
         yield ray
         return
+
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
     if address == "local":
-        options |= {"num_cpus": workers, "include_dashboard": False}
+        cores = min(workers or MAX_WORKERS, os.cpu_count() or 1)
+        options |= {"num_cpus": cores, "include_dashboard": False}
     else:
         _check_address(grpc, address)
     try:
@@ -205,10 +185,9 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
             warnings.simplefilter("ignore")
             ray.init(address=address, **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        first, _, _ = (lines[0] if lines else type(error).__name__).partition(". ")
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0].partition(". ")[0]
         raise LinkError(
-            f"--address {show_value(address)}: {escape_unprintable(first)[:300]}", START_HINT
+            f"--address {show_value(address)}: {escape_unprintable(reason, 300)}", START_HINT
         ) from error
     try:
         yield ray
@@ -217,16 +196,17 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
 
 
 def _check_address(grpc: Any, address: str) -> None:
-    """Check that something like Ray answers soon: Ray itself tries for minutes."""
+    """Check that something like Ray answers soon."""
     place = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
     if place == "auto":
-        return  # Ray looks for a cluster of this machine, and soon says that there is none
+        return  # Ray looks for a cluster of this machine, and soon reports that there is none
     place = place.removeprefix("ray://")
     host, _, port = place.rpartition(":")
     if not host or not port.isdecimal():
         raise ConfigError(
             f"--address {show_value(address)}: must be local, auto, host:port or ray://host:port"
         )
+
     with grpc.insecure_channel(place) as channel:
         try:
             grpc.channel_ready_future(channel).result(timeout=CLUSTER_TIMEOUT)

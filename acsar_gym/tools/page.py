@@ -26,12 +26,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Section:
-    """A heading, a paragraph, a table, then figures of plotly, whose axes name their units."""
+    """A heading, a paragraph, a table, then figures, whose axes name their units."""
 
     heading: str
     text: str = ""
     table: Table | None = None
     figures: Sequence[Any] = ()
+    """Figures of plotly, and drawings as SVG text."""
 
 
 def check_report_extra() -> None:
@@ -58,6 +59,8 @@ def write_page(path: Path, title: str, sections: Sequence[Section]) -> None:
     from plotly.offline import get_plotlyjs  # noqa: PLC0415 - optional
 
     def figure_html(figure: Any) -> str:
+        if isinstance(figure, str):
+            return figure[figure.index("<svg") :]
         options = {"displaylogo": False, "responsive": True}
         html: str = figure.to_html(full_html=False, include_plotlyjs=False, config=options)
         return html

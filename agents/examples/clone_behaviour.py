@@ -1,6 +1,6 @@
 """Behaviour cloning: a person's drives become a policy that drives to any goal by itself.
 
-    pip install "acsar_gym[train,deploy,export,fast]"
+    pip install ".[train,deploy,export,fast]"
     acsar-gym drive --link /dev/ttyUSB0 --record 1.mcap      # drive to a place, q; and again
     python agents/examples/clone_behaviour.py 1.mcap 2.mcap
 

@@ -1,6 +1,6 @@
 """Record episodes of a policy as a Minari data set, for offline learning and imitation.
 
-    pip install "acsar_gym[export,deploy]" "minari[create]"
+    pip install ".[export,deploy]" "minari[create]"
     python agents/examples/minari_record.py --env acsar_gym:acsar_gym/PointGoal-v0 --steps 2000
 
 Minari's `DataCollector` wraps the environment as it is. The data set, named acsar/PointGoal-v0,

@@ -1,6 +1,6 @@
 """A recorded run in pandas: speeds asked for, sent and measured, odometry, and lateness.
 
-    pip install "acsar_gym[record,plot]" pandas
+    pip install ".[record,plot]" pandas
     acsar-gym run 1.5 0.5 --link /dev/ttyUSB0 --record drive.mcap   # or evaluate, drive; any link
     python agents/examples/recorded_run.py drive.mcap --plot drive.png
 

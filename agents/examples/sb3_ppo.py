@@ -1,6 +1,6 @@
 """PPO of stable-baselines3 on a batch of robots, and the ONNX file that drives.
 
-    pip install "acsar_gym[train,fast]"
+    pip install ".[train,fast]"
     python agents/examples/sb3_ppo.py --env acsar_gym/PointGoal-v0 --steps 300000
 
 `sb3.make_batch` is the batch as the VecEnv that stable-baselines3 wants; its other algorithms and

@@ -1,6 +1,6 @@
 """PPO of SBX (stable-baselines3 in JAX) on a batch of robots.
 
-    pip install "acsar_gym[train,fast]" sbx-rl
+    pip install ".[train,fast]" sbx-rl
     python agents/examples/sbx_ppo.py --env acsar_gym:acsar_gym/PointGoal-v0 --steps 300000
 
 SBX takes the VecEnv of stable-baselines3, so `sb3.make_batch` is all it needs; so do its SAC, TQC

@@ -1,6 +1,6 @@
 """PPO of skrl on a batch of robots.
 
-    pip install "acsar_gym[train,fast]" skrl
+    pip install ".[train,fast]" skrl
     python agents/examples/skrl_ppo.py --env acsar_gym:acsar_gym/PointGoal-v0 --steps 300000
 
 skrl's automatic choice of a wrapper looks at the names of an env's base classes and doesn't know

@@ -1,4 +1,4 @@
-"""PPO of TorchRL on a batch of robots: pip install "acsar_gym[train,fast]" torchrl.
+"""PPO of TorchRL on a batch of robots: pip install ".[train,fast]" torchrl.
 
 TorchRL resets envs itself, by `options={"reset_mask": ...}`: it wants `autoreset_mode="Disabled"`.
 300,000 steps take 17 s of one core (17,400 steps/s); torchrl.onnx then reaches 100 of 100 goals.

@@ -1,6 +1,6 @@
 """Sweep the randomization of a training and its seeds with Ray Tune.
 
-    pip install "acsar_gym[train,fast,scale]"
+    pip install ".[train,fast,scale]"
     python agents/examples/tune_randomization.py --env obstacle_goal --levels 0 2 3 --seeds 0-4
 
 Level 0 randomizes nothing, 2 is what `acsar-gym train` does, 1 and 3 are half and twice of that.
@@ -9,18 +9,40 @@ robust, and how much its seeds differ. A trial takes one CPU; `--address` runs t
 and a trial whose machine dies is started again.
 """
 
+import tempfile
 from functools import partial
 from pathlib import Path
 
 import tyro
+import yaml
 
+from acsar_gym import RobotConfig
+from acsar_gym.envs import ids
+from acsar_gym.physics.randomization import randomization_level
+from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.jobs import connect_cluster
-from acsar_gym.tools.training.seeds import parse_seeds, run_trial
+from acsar_gym.tools.training.options import TrainingOptions
+from acsar_gym.tools.training.recipes import read_recipe
+from acsar_gym.tools.training.run import train
+from acsar_gym.tools.training.seeds import parse_seeds
+
+LEVELS = {level: randomization_level(RobotConfig(), level).model_dump() for level in (1, 2, 3)}
 
 
 def trial(config: dict[str, int], env: str, steps: int | None, episodes: int) -> dict[str, float]:
-    """Train one seed at one level of randomization, and evaluate the policy."""
-    return {"success": run_trial(env, config["level"], config["seed"], steps, episodes)}
+    """Train one seed at one level of randomization, and evaluate the policy at the hardest."""
+    env_id = ids.strip_module(ids.find_id(env))
+    recipe = read_recipe("ppo", env_id).values
+    ranges = {k: list(v) for k, v in LEVELS.get(config["level"], {}).items() if v is not None}
+    recipe["env_kwargs"] = {**recipe["env_kwargs"], "randomization": ranges}
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "recipe.yml")
+        file.write_text(yaml.safe_dump({env_id: recipe}))
+        some = {"conf_file": file, "steps": steps, "seed": config["seed"], "progress": False}
+        out = train(TrainingOptions(env=env, threads=1, out=Path(folder, "out"), **some)).out
+        policy = runs.load_policy(str(out / "policy.onnx"), trust=False)
+    results = runs.evaluate_policy(policy, "planar", None, range(episodes), randomization=LEVELS[3])
+    return {"success": results.summary.success_rate}
 
 
 def main(

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from acsar_gym.tools.evaluation import runs
-from acsar_gym.tools.policies import OnnxPolicy
+from acsar_gym.tools.policies import ZipPolicy
 
 CONFIG = """
 acsar_gym/PointGoal-v0: {policy: MlpPolicy, n_timesteps: 64, n_envs: 2, normalize: true,
@@ -23,7 +23,6 @@ def test_its_zip_and_statistics_become_a_policy(tmp_path: Path) -> None:
     (tmp_path / "mine.yml").write_text(CONFIG)
     subprocess.run([sys.executable, *COMMAND.split()], cwd=tmp_path, check=True, timeout=1800)
     (model,) = tmp_path.glob("logs/ppo/*/acsar_gym-PointGoal-v0.zip")
-    (statistics,) = model.parent.glob("*/vecnormalize.pkl")
-    out = tmp_path / "policy.onnx"
-    runs.export_policy(model, out, "point_goal", None, trust=True, vecnormalize=str(statistics))
-    runs.make_env(OnnxPolicy(out), "planar", None, {}).close()
+    assert list(model.parent.glob("*/vecnormalize.pkl"))
+    policy = ZipPolicy(model, trust=True, env_id="point_goal")
+    runs.make_env(policy, "planar", None, {}).close()

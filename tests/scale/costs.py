@@ -26,9 +26,10 @@ os.environ["OMP_NUM_THREADS"] = "1"
 
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.evaluation.runs import MAX_SHARD_EPISODES
-from acsar_gym.tools.training import models
-from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
+from acsar_gym.tools.evaluation.runs import MAX_PART_EPISODES
+from acsar_gym.tools.training.options import TrainingOptions
+from acsar_gym.tools.training.plan import TrainingPlan
+from acsar_gym.tools.training.run import make_model
 
 NAMES = ("point_goal", "obstacle_goal", "barn")
 MACHINES = (1, 10, 100)
@@ -79,10 +80,9 @@ def training(name: str) -> tuple[int, float, float]:
     with tempfile.TemporaryDirectory() as folder:
         options = TrainingOptions(env=name, threads=1, progress=False, out=Path(folder))
         plan = TrainingPlan.of(options)
-        models.prepare_torch(plan)
         env = plan.make_training_batch()
         with contextlib.closing(env):
-            model: Any = models.make_model(plan, env)
+            model: Any = make_model(plan, env, Path(folder))
             for method in spent:
                 setattr(model, method, timed(getattr(model, method), method, spent))
             rollout = model.n_steps * env.num_envs
@@ -155,7 +155,7 @@ def show(found: list[Costs], begin: float) -> None:
     for each in found:
         rows: dict[str, Callable[[int], float]] = {
             f"evaluation, {EPISODES:,} episodes": lambda n, e=each: jobs(  # type: ignore[misc]
-                EPISODES // MAX_SHARD_EPISODES, MAX_SHARD_EPISODES * e.episode, n, begin
+                EPISODES // MAX_PART_EPISODES, MAX_PART_EPISODES * e.episode, n, begin
             ),
             f"training, {SEEDS} seeds": lambda n, e=each: jobs(SEEDS, e.training, n, begin),  # type: ignore[misc]
             f"sweep, {SWEEP} trainings": lambda n, e=each: jobs(SWEEP, e.training, n, begin),  # type: ignore[misc]

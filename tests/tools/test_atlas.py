@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mover_tools import HALL
 from PIL import Image
 from serial_tools import cli
 from top_view_tools import COURT
@@ -17,7 +16,6 @@ from top_view_tools import COURT
 from acsar_gym import RobotConfig
 from acsar_gym.render.top_view import (
     GOAL_COLOUR,
-    MOVER_COLOUR,
     OBSTACLE_COLOUR,
     START_COLOUR,
 )
@@ -93,16 +91,6 @@ def test_the_published_worlds_can_be_crossed_and_drawn(tmp_path: Path) -> None:
     atlas.draw_worlds(worlds, 5, 200, tmp_path / "published.png")
     with Image.open(tmp_path / "published.png") as picture:
         assert picture.size == (1000, 200)
-
-
-def test_a_tile_shows_who_moves_and_where_to() -> None:
-    tile = draw_tile(HALL, 400)
-    still = draw_tile(replace(HALL, movers=()), 400)
-    assert (tile == MOVER_COLOUR).all(axis=2).sum() > 100
-    assert not (still == MOVER_COLOUR).all(axis=2).any()
-    changed = np.argwhere((tile != still).any(axis=2))
-    scale = 400 / 6.4  # the hall is 6 m long
-    assert np.ptp(changed[:, 1]) > 5.0 * scale, "somebody walks along the hall"
 
 
 def test_a_tile_is_a_map_with_its_name(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from job_tools import Job, broken, missing, square, threads
 
 from acsar_gym.errors import AcsarError, LinkError, MissingExtraError
 from acsar_gym.tools import jobs
-from acsar_gym.tools.jobs import completed
+from acsar_gym.tools.jobs import run_jobs
 
 pytestmark = pytest.mark.xdist_group(__name__)
 TESTS = Path(__file__).parents[1]
@@ -31,7 +31,7 @@ def _workers_find_the_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_results_come_in_order_of_completion(tmp_path: Path) -> None:
     """The first job waits until the others' results, by another process, have arrived."""
     waiting = Job(0, tmp_path, waits=tmp_path / "arrived")
-    results = completed(square, [waiting, *(Job(n, tmp_path) for n in range(1, 5))], workers=2)
+    results = run_jobs(square, [waiting, *(Job(n, tmp_path) for n in range(1, 5))], workers=2)
     assert sorted(itertools.islice(results, 4)) == [(n, n**2) for n in range(1, 5)]
     (tmp_path / "arrived").touch()
     assert list(results) == [(0, 0)]
@@ -39,32 +39,32 @@ def test_results_come_in_order_of_completion(tmp_path: Path) -> None:
 
 def test_a_job_that_ends_its_process_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(AcsarError, match="a process that ran a job ended") as error:
-        list(completed(square, [Job(7, tmp_path, deaths=99), Job(1, tmp_path)], workers=2))
+        list(run_jobs(square, [Job(7, tmp_path, deaths=99), Job(1, tmp_path)], workers=2))
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_error_of_this_package_arrives_as_it_is(workers: int) -> None:
-    with pytest.raises(MissingExtraError, match=re.escape("pip install 'acsar_gym[scale]'")):
-        list(completed(missing, [1, 2], workers=workers))
+    with pytest.raises(MissingExtraError, match=re.escape("constraints.txt '.[scale]'")):
+        list(run_jobs(missing, [1, 2], workers=workers))
 
 
 def test_another_error_names_the_job_and_the_line() -> None:
     with pytest.raises(AcsarError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
-        list(completed(broken, [5, 5], workers=2))
+        list(run_jobs(broken, [5, 5], workers=2))
 
 
 INTERRUPTED = """
 import sys
 from pathlib import Path
 from job_tools import Job, square
-from acsar_gym.tools.jobs import completed
+from acsar_gym.tools.jobs import run_jobs
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
     jobs = [Job(number, folder, waits=folder / "never") for number in range(3)]
     try:
-        list(completed(square, jobs, workers=2))
+        list(run_jobs(square, jobs, workers=2))
     except KeyboardInterrupt:
         print("interrupted", flush=True)
 """
@@ -102,7 +102,7 @@ def test_an_address_that_doesnt_answer_is_one_error(
     with socket.create_server(("127.0.0.1", 0)) as server:
         host = f"127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(LinkError, match=f"--address '{kind}{host}': doesn't answer"):
-            list(completed(threads, [""], address=f"{kind}{host}"))
+            list(run_jobs(threads, [""], address=f"{kind}{host}"))
     monkeypatch.setenv("RAY_ADDRESS", f"{kind}{host}")
     with pytest.raises(LinkError, match="'auto': doesn't answer: start a cluster"):
-        list(completed(threads, [""], address="auto"))
+        list(run_jobs(threads, [""], address="auto"))

@@ -162,7 +162,8 @@ class BaselinePolicy(FilePolicy):
             cls.name = cls.__name__
 
     def __init__(self, env_id: str) -> None:
-        self.path, self.env_id = Path(self.name), env_id
+        self.path = Path(self.name)
+        self.env_id = env_id
         with contextlib.suppress(TypeError, OSError):  # there is no file in a notebook
             source = Path(inspect.getsourcefile(type(self)) or "")
             content = source.read_bytes() + CONSTANTS_FILE.read_bytes()
@@ -188,8 +189,8 @@ class BaselinePolicy(FilePolicy):
         self.setting = setting
         self.units = RobotUnits.of(setting.config, setting.period)
         if self.constants_type is not None:
-            found = find_constants(self.name, self.env_id, setting.config)
-            self.constants: Any = self.constants_type(**found)
+            constants = find_constants(self.name, self.env_id, setting.config)
+            self.constants: Any = self.constants_type(**constants)
 
     @abstractmethod
     def act(self, seen: DecodedObservation) -> tuple[float, float]:

@@ -7,8 +7,8 @@ Of the velocities that the robot can reach within a step, those are admissible a
 still stop before it touches anything. Among them the best is chosen by progress to the goal and
 clearance. Progress is that along the way of the robot's map, as in the global dynamic window
 approach (Brock & Khatib, ICRA 1999), because the heading towards the goal alone ends in the first
-dead end. Arcs have the robot's acceleration limits and motor lag. Where the robot tracks movers,
-the clearance of a pose is that from where they are by then.
+dead end. Arcs have the robot's acceleration limits and motor lag. If the robot tracks movers, the
+clearance of a pose is that from where they are by then.
 """
 
 from __future__ import annotations
@@ -23,37 +23,66 @@ from acsar_gym.jit import jit, loop
 from acsar_gym.sensors.map.way import length_left, next_corner
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.mapped import (
+    RADIUS,
+    RATE_X,
+    RATE_Y,
     MappedPolicy,
     Pose,
+    X,
+    Y,
     points_clearance,
     polygon_distance,
 )
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 
-LINEAR_SAMPLES, ANGULAR_SAMPLES = 9, 25
+LINEAR_SAMPLES = 9
+ANGULAR_SAMPLES = 25
 """How many linear and angular velocities of the window are tried."""
 ARC_STEP = 0.05
 """Step of the predicted arcs [s]."""
-STILL_STEPS, ALIGNED_BEARING = 5, 0.3
-"""After so many decisions to stand still it turns to the way, up to this bearing [rad]."""
-MotionState = tuple[float, float, float, float, float, float, float]
-"""Pose (x, y, theta), twist, and last command (linear, angular) [m, rad, s]."""
+STILL_STEPS = 5
+"""After more decisions to stand still the robot turns to the way."""
+ALIGNED_BEARING = 0.3
+"""It turns until the bearing of the way is smaller than this [rad]."""
+
+
+class Motion(NamedTuple):
+    """The motion of a robot in the odometry frame [m, rad, s]."""
+
+    x: float
+    y: float
+    theta: float
+    linear: float
+    angular: float
+    sent_linear: float
+    """Last command."""
+    sent_angular: float
 
 
 @dataclass(frozen=True)
 class DwaConstants:
     """Constants of the dynamic window approach; `constants.yaml` has those of the presets."""
 
-    reverse_share: float = 0.4  # greatest speed backwards, out of dead ends [top speed]
-    arc_time: float = 1.5  # how far ahead an arc is scored [s]
-    turn_time: float = 0.6  # how long the robot turns on an arc before it goes straight [s]
-    window_periods: float = 1.0  # velocities are tried that can be reached so soon [period]
-    hold_periods: float = 2.0  # a velocity is kept so long before the robot brakes [period]
-    nose: float = 1.0  # progress counts this far ahead, so that the heading matters [radius]
-    stop_clearance: float = 0.125  # least clearance on the way to a stop [radius]
-    near_cost: float = 0.3  # cost of a second without clearance [s at top speed]
-    near_fade: float = 0.25  # clearance where that cost has fallen to 1/e [radius]
-    blocked_cost: float = 0.6  # of an arc that comes too near, times what is left of it [s]
+    reverse_share: float = 0.4
+    """Greatest speed backwards, out of dead ends [top speed]."""
+    arc_time: float = 1.5
+    """How far ahead an arc is scored [s]."""
+    turn_time: float = 0.6
+    """How long the robot turns on an arc before it goes straight [s]."""
+    window_periods: float = 1.0
+    """Velocities are tried that can be reached within this time [period]."""
+    hold_periods: float = 2.0
+    """How long a velocity is kept before the robot brakes [period]."""
+    nose: float = 1.0
+    """Progress counts this far ahead, so that the heading matters [radius]."""
+    stop_clearance: float = 0.125
+    """Least clearance on the way to a stop [radius]."""
+    near_cost: float = 0.3
+    """Cost of a second without clearance [s at top speed]."""
+    near_fade: float = 0.25
+    """Clearance at which that cost has fallen to 1/e [radius]."""
+    blocked_cost: float = 0.6
+    """Cost of an arc that comes too near, times its remaining share [s]."""
 
 
 @dataclass(frozen=True)
@@ -122,8 +151,10 @@ class Dwa(MappedPolicy):
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
         super().equip(setting)
-        units, k = self.units, self.constants
+        units = self.units
+        k = self.constants
         hold = k.hold_periods * units.period
+
         self._model = ArcModel(
             acceleration=units.acceleration,
             spin=units.spin,
@@ -144,30 +175,33 @@ class Dwa(MappedPolicy):
         )
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
-        """Choose the best admissible velocity [m/s, rad/s]; stops where there is none."""
+        """Choose the best admissible velocity [m/s, rad/s]; stops if there is none."""
         config = self.setting.config
         window = self._window(config.max_linear, config.max_angular)
         ahead = config.max_linear * self.constants.arc_time + self._model.nose
         reach = ahead + self.outer + self._model.reach
         tracks = self.tracks()
         around = Surroundings(
-            self.obstacles(pose, seen, reach, tracks),
-            self.sides,
-            self.outer,
-            self.map.way_ahead,
-            0.9 * self.setting.tolerance,
-            tracks,
+            points=self.obstacles(pose, seen, reach, tracks),
+            sides=self.sides,
+            outer=self.outer,
+            way=self.map.way_ahead,
+            radius=0.9 * self.setting.tolerance,
+            movers=tracks,
         )
-        state = (*pose, seen.linear, seen.angular, *self.sent)
-        scores = score_window(window, state, self._model, around)
+
+        # The best velocity, unless none is admissible, or the robot stands still.
+        motion = Motion(*pose, seen.linear, seen.angular, *self.sent)
+        scores = score_window(window, motion, self._model, around)
         best = int(scores.argmin())
         if not math.isfinite(scores[best]):
-            return self._escape(around, state)
+            return self._escape(around, motion)
         linear, angular = window[best].tolist()
-        idle = abs(linear) < 0.06 * config.max_linear and abs(angular) < 0.1 * config.max_angular
-        self._still = self._still + 1 if idle or self._still > STILL_STEPS else 0
+        is_slow = abs(linear) < 0.06 * config.max_linear
+        is_still = is_slow and abs(angular) < 0.1 * config.max_angular
+        self._still = self._still + 1 if is_still or self._still > STILL_STEPS else 0
         if self._still > STILL_STEPS:
-            return self._align(pose, state, around) or (linear, angular)
+            return self._align(pose, motion, around) or (linear, angular)
         return linear, angular
 
     def reset(self) -> None:
@@ -176,45 +210,50 @@ class Dwa(MappedPolicy):
         self._still = 0
 
     def _align(
-        self, pose: Pose, state: MotionState, around: Surroundings
+        self, pose: Pose, motion: Motion, around: Surroundings
     ) -> tuple[float, float] | None:
-        """Turn towards the way, or back off where there is no room; None once it lies ahead."""
+        """Turn towards the way, or back off if there is no room; None once it lies ahead."""
         x, y = self.carrot(pose, 1.7 * self.outer)
         bearing = math.atan2(y, x)
         if abs(bearing) < ALIGNED_BEARING:
             self._still = 0
             return None
         turn = math.copysign(0.5 * self.setting.config.max_angular, bearing)
-        if can_stop(0.0, turn, state, self._model, around):
+        if can_stop(0.0, turn, motion, self._model, around):
             return 0.0, turn
-        return self._escape(around, state)
+        return self._escape(around, motion)
 
     def _window(self, fastest: float, turning: float) -> Floats:
         """(n, 2): velocities that can be reached soon, and standing still."""
         time = self.constants.window_periods * self.setting.period
-        linear, angular = self._model.acceleration * time, self._model.spin * time
-        v = self.sent[0] + np.linspace(-linear, linear, LINEAR_SAMPLES)
-        v = np.clip(v, -self.constants.reverse_share * fastest, fastest)
-        w = np.clip(
-            self.sent[1] + np.linspace(-angular, angular, ANGULAR_SAMPLES), -turning, turning
-        )
-        pairs = np.stack(np.meshgrid(np.unique(np.append(v, 0.0)), np.unique(np.append(w, 0.0))))
-        window: Floats = pairs.reshape(2, -1).T
+        slowest = -self.constants.reverse_share * fastest
+        linear = _sample(self.sent[0], self._model.acceleration * time, LINEAR_SAMPLES)
+        angular = _sample(self.sent[1], self._model.spin * time, ANGULAR_SAMPLES)
+        linear = np.unique(np.append(np.clip(linear, slowest, fastest), 0.0))
+        angular = np.unique(np.append(np.clip(angular, -turning, turning), 0.0))
+        window: Floats = np.stack(np.meshgrid(linear, angular)).reshape(2, -1).T
         return window
 
-    def _escape(self, around: Surroundings, state: MotionState) -> tuple[float, float]:
+    def _escape(self, around: Surroundings, motion: Motion) -> tuple[float, float]:
         """Back off slowly, or turn, to where there is more clearance; nothing is admissible."""
-        (x, y, theta), units = state[:3], self.units
-        best, chosen = -1.0, (0.0, 0.0)
+        units = self.units
+        most_free = -1.0
+        chosen = (0.0, 0.0)
         for linear in (0.0, -0.2 * units.speed, 0.2 * units.speed):
             for angular in (0.0, -0.4 * units.turning, 0.4 * units.turning):
-                heading = theta + 0.3 * angular
+                heading = motion.theta + 0.3 * angular
                 ahead = 0.3 * linear
-                there = x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading
-                free = pose_clearance(*there, around, self.outer)
-                if free > best + 1e-3:
-                    best, chosen = free, (linear, angular)
+                x = motion.x + ahead * math.cos(heading)
+                y = motion.y + ahead * math.sin(heading)
+                free = pose_clearance(x, y, heading, around, self.outer)
+                if free > most_free + 1e-3:
+                    most_free = free
+                    chosen = (linear, angular)
         return chosen
+
+
+def _sample(centre: float, reach: float, count: int) -> Floats:
+    return centre + np.linspace(-reach, reach, count)
 
 
 class DwaMovers(Dwa):
@@ -227,119 +266,126 @@ class DwaMovers(Dwa):
 
 @jit
 def advance_arc(
-    state: MotionState, linear: float, angular: float, brake: float, spin: float, blend: float
-) -> MotionState:
-    """Predict the state an ARC_STEP later; `brake`, `spin` and `blend` as in `ArcModel`."""
-    x, y, theta, v, w, sent_v, sent_w = state
-    sent_v += min(max(linear - sent_v, -brake * ARC_STEP), brake * ARC_STEP)
-    sent_w += min(max(angular - sent_w, -spin * ARC_STEP), spin * ARC_STEP)
-    v += blend * (sent_v - v)
-    w += blend * (sent_w - w)
-    theta += w * ARC_STEP
-    return (
-        x + v * ARC_STEP * math.cos(theta),
-        y + v * ARC_STEP * math.sin(theta),
-        theta,
-        v,
-        w,
-        sent_v,
-        sent_w,
+    motion: Motion, linear: float, angular: float, acceleration: float, model: ArcModel
+) -> Motion:
+    """Predict the motion an ARC_STEP later, with a linear acceleration [m/s^2]."""
+    change = acceleration * ARC_STEP
+    sent_linear = motion.sent_linear
+    sent_linear += min(max(linear - sent_linear, -change), change)
+    change = model.spin * ARC_STEP
+    sent_angular = motion.sent_angular
+    sent_angular += min(max(angular - sent_angular, -change), change)
+
+    speed = motion.linear + model.blend * (sent_linear - motion.linear)
+    turning = motion.angular + model.blend * (sent_angular - motion.angular)
+    theta = motion.theta + turning * ARC_STEP
+    return Motion(
+        x=motion.x + speed * ARC_STEP * math.cos(theta),
+        y=motion.y + speed * ARC_STEP * math.sin(theta),
+        theta=theta,
+        linear=speed,
+        angular=turning,
+        sent_linear=sent_linear,
+        sent_angular=sent_angular,
     )
 
 
 @loop
-def score_window(
-    window: Floats, state: MotionState, model: ArcModel, around: Surroundings
-) -> Floats:
+def score_window(window: Floats, motion: Motion, model: ArcModel, around: Surroundings) -> Floats:
     """Score velocities; less is better.
 
     Returns:
-        (n,): the scores, in equivalent metres; infinite where a velocity isn't admissible.
+        (n,): Scores in equivalent metres, infinite if a velocity isn't admissible.
     """
     scores = np.full(len(window), np.inf)
     for n in range(len(window)):
-        if can_stop(window[n, 0], window[n, 1], state, model, around):
-            scores[n] = score_velocity(window[n, 0], window[n, 1], state, model, around)
+        if can_stop(window[n, 0], window[n, 1], motion, model, around):
+            scores[n] = score_velocity(window[n, 0], window[n, 1], motion, model, around)
     return scores
 
 
 @loop
 def score_velocity(
-    linear: float, angular: float, state: MotionState, model: ArcModel, around: Surroundings
+    linear: float, angular: float, motion: Motion, model: ArcModel, around: Surroundings
 ) -> float:
     """Score of one admissible velocity."""
-    cost, steps, spin, blend = 0.0, model.arc_steps, model.spin, model.blend
-    for step in range(steps):
+    cost = 0.0
+    for step in range(model.arc_steps):
         turning = angular if step < model.turn_steps else 0.0
-        state = advance_arc(state, linear, turning, model.acceleration, spin, blend)
+        motion = advance_arc(motion, linear, turning, model.acceleration, model)
         if step % 2 == 0:
             continue
-        free = pose_clearance(state[0], state[1], state[2], around, model.reach)
-        free = movers_clearance(state, (step + 1) * ARC_STEP, around, free)
+
+        free = pose_clearance(motion.x, motion.y, motion.theta, around, model.reach)
+        free = movers_clearance(motion, (step + 1) * ARC_STEP, around, free)
         cost += 2.0 * ARC_STEP * model.near_cost * math.exp(-free / model.near_fade)
-        left = 1.0 - step / steps
+        remaining = 1.0 - step / model.arc_steps
         if free < model.stop_clearance:
-            cost += model.blocked_cost * left
+            cost += model.blocked_cost * remaining
             break
-        if in_goal(state[0], state[1], around):
-            return cost - left
-    return cost + way_left(state, model.nose, around)
+        if in_goal(motion.x, motion.y, around):
+            return cost - remaining
+    return cost + way_left(motion, model.nose, around)
 
 
 @loop
 def can_stop(
-    linear: float, angular: float, state: MotionState, model: ArcModel, around: Surroundings
+    linear: float, angular: float, motion: Motion, model: ArcModel, around: Surroundings
 ) -> bool:
     """Whether the robot can obey a command for a while, and then stop without touching anything.
 
-    Where it is too near to something already, coming no nearer is enough.
+    If it is too near to something already, coming no nearer is enough.
     """
-    wanted, spin, blend = model.stop_clearance, model.spin, model.blend
-    least = pose_clearance(state[0], state[1], state[2], around, wanted) - 1e-3
+    wanted = model.stop_clearance
+    enough = pose_clearance(motion.x, motion.y, motion.theta, around, wanted) - 1e-3
     for step in range(model.stop_steps):
-        holding = step < model.hold_steps
-        if holding:
-            state = advance_arc(state, linear, angular, model.acceleration, spin, blend)
+        is_holding = step < model.hold_steps
+        if is_holding:
+            motion = advance_arc(motion, linear, angular, model.acceleration, model)
         else:
-            state = advance_arc(state, 0.0, 0.0, model.braking, spin, blend)
-        if pose_clearance(state[0], state[1], state[2], around, wanted) < least:
+            motion = advance_arc(motion, 0.0, 0.0, model.braking, model)
+        if pose_clearance(motion.x, motion.y, motion.theta, around, wanted) < enough:
             return False
-        if not holding and abs(state[3]) < 0.01 and abs(state[4]) < 0.05:
+        if not is_holding and abs(motion.linear) < 0.01 and abs(motion.angular) < 0.05:
             break
     return True
 
 
 @loop
-def pose_clearance(x: float, y: float, theta: float, around: Surroundings, most: float) -> float:
-    """Clearance of the footprint at a pose from what stands, at most `most` [m]."""
-    return points_clearance(x, y, theta, around.points, around.sides, around.outer, most)
+def pose_clearance(x: float, y: float, theta: float, around: Surroundings, limit: float) -> float:
+    """Clearance of the footprint at a pose from what stands, at most `limit` [m]."""
+    return points_clearance((x, y, theta), around.points, around.sides, around.outer, limit)
 
 
 @loop
-def movers_clearance(state: MotionState, time: float, around: Surroundings, most: float) -> float:
-    """Clearance of the footprint from where movers are after some time, at most `most` [m]."""
-    movers, cos, sin = around.movers, math.cos(state[2]), math.sin(state[2])
+def movers_clearance(motion: Motion, time: float, around: Surroundings, limit: float) -> float:
+    """Clearance of the footprint from where movers are after some time, at most `limit` [m]."""
+    movers = around.movers
+    cos = math.cos(motion.theta)
+    sin = math.sin(motion.theta)
     for m in range(len(movers)):
-        dx = movers[m, 0] + time * movers[m, 2] - state[0]
-        dy = movers[m, 1] + time * movers[m, 3] - state[1]
-        reach = around.outer + movers[m, 4] + most
+        dx = movers[m, X] + time * movers[m, RATE_X] - motion.x
+        dy = movers[m, Y] + time * movers[m, RATE_Y] - motion.y
+        reach = around.outer + movers[m, RADIUS] + limit
         if dx * dx + dy * dy < reach * reach:
             gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, around.sides)
-            most = min(most, max(gap - movers[m, 4], 0.0))
-    return most
+            limit = min(limit, max(gap - movers[m, RADIUS], 0.0))
+    return limit
 
 
 @jit
 def in_goal(x: float, y: float, around: Surroundings) -> bool:
     """Whether a place is within the goal."""
-    dx, dy = around.way[-1, 0] - x, around.way[-1, 1] - y
-    inside: bool = dx * dx + dy * dy < around.radius * around.radius
-    return inside
+    dx = around.way[-1, 0] - x
+    dy = around.way[-1, 1] - y
+    is_inside: bool = dx * dx + dy * dy < around.radius * around.radius
+    return is_inside
 
 
 @loop
-def way_left(state: MotionState, nose: float, around: Surroundings) -> float:
-    """Length of the way that is left from `nose` ahead of a pose; so the heading matters [m]."""
-    x, y = state[0] + nose * math.cos(state[2]), state[1] + nose * math.sin(state[2])
+def way_left(motion: Motion, nose: float, around: Surroundings) -> float:
+    """Length of the way that remains from `nose` ahead of a pose, so the heading matters [m]."""
+    x = motion.x + nose * math.cos(motion.theta)
+    y = motion.y + nose * math.sin(motion.theta)
     corner = next_corner(around.way, 0, (x, y))
     return length_left(around.way, corner, (x, y))

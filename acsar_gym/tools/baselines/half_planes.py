@@ -16,6 +16,10 @@ import numpy as np
 from acsar_gym.jit import loop
 from acsar_gym.tasks.state import Floats
 
+A = 0
+B = 1
+C = 2
+"""Columns of a half plane."""
 BOX = 4
 """How many half planes bound the variables."""
 PARALLEL = 1e-9
@@ -24,7 +28,7 @@ PARALLEL = 1e-9
 
 def make_box(x: tuple[float, float], y: tuple[float, float], planes: Floats) -> None:
     """Write the half planes of the least and greatest x and y into the first BOX rows."""
-    planes[:BOX] = (1.0, 0.0, x[0]), (-1.0, 0.0, -x[1]), (0.0, 1.0, y[0]), (0.0, -1.0, -y[1])
+    planes[:BOX] = [(1.0, 0.0, x[0]), (-1.0, 0.0, -x[1]), (0.0, 1.0, y[0]), (0.0, -1.0, -y[1])]
 
 
 @loop
@@ -33,39 +37,46 @@ def solve_programme(planes: Floats, hard: int, x: float, y: float) -> tuple[floa
 
     Args:
         planes: (n, 3), the first BOX of which bound the variables.
-        hard: so many of the first ones hold in any case, as far as they leave something.
-        x: of the wanted point.
-        y: of the wanted point.
+        hard: Number of half planes, from the first on, that hold in any case, as far as they leave
+            something.
+        x: Of the wanted point.
+        y: Of the wanted point.
 
     Returns:
-        The point; where there is none, the one within the hard half planes whose distance from the
+        The point; if there is none, the point within the hard half planes whose distance from the
         worst of the others is least.
     """
-    found_x, found_y, met = find_nearest(planes, len(planes), x, y, False)
+    best_x, best_y, met = find_nearest(planes, len(planes), x, y, False)
     if met == len(planes):
-        return found_x, found_y
+        return best_x, best_y
+
     projected = np.empty((len(planes), 3))
     worst = 0.0
     for i in range(met, len(planes)):
-        a, b, c = planes[i, 0], planes[i, 1], planes[i, 2]
-        if c - a * found_x - b * found_y <= worst:
+        a = planes[i, A]
+        b = planes[i, B]
+        c = planes[i, C]
+        if c - a * best_x - b * best_y <= worst:
             continue
-        first = min(hard, i)
-        projected[:first] = planes[:first]
-        count = first
-        for j in range(first, i):
-            across_a, across_b = planes[j, 0] - a, planes[j, 1] - b
+
+        # Along the border of this half plane, as far within the soft ones before it as possible.
+        count = min(hard, i)
+        projected[:count] = planes[:count]
+        for j in range(min(hard, i), i):
+            across_a = planes[j, A] - a
+            across_b = planes[j, B] - b
             length = np.sqrt(across_a * across_a + across_b * across_b)
             if length > PARALLEL:
-                projected[count, 0] = across_a / length
-                projected[count, 1] = across_b / length
-                projected[count, 2] = (planes[j, 2] - c) / length
+                projected[count, A] = across_a / length
+                projected[count, B] = across_b / length
+                projected[count, C] = (planes[j, C] - c) / length
                 count += 1
-        there_x, there_y, held = find_nearest(projected, count, a, b, True)
-        if held == count:
-            found_x, found_y = there_x, there_y
-        worst = max(worst, c - a * found_x - b * found_y)
-    return found_x, found_y
+        next_x, next_y, met = find_nearest(projected, count, a, b, True)
+        if met == count:
+            best_x = next_x
+            best_y = next_y
+        worst = max(worst, c - a * best_x - b * best_y)
+    return best_x, best_y
 
 
 @loop
@@ -75,34 +86,41 @@ def find_nearest(
     """Find the point within half planes that is nearest to (x, y), or farthest in that direction.
 
     Returns:
-        The point, and how many of the half planes hold: `count`, or the place of the first one that
-        leaves nothing.
+        The point, and how many of the half planes hold: `count`, or the place of the first half
+        plane that leaves nothing.
     """
     if is_direction:
-        found_x = -planes[1, 2] if x > 0.0 else planes[0, 2]
-        found_y = -planes[3, 2] if y > 0.0 else planes[2, 2]
+        best_x = -planes[1, C] if x > 0.0 else planes[0, C]
+        best_y = -planes[3, C] if y > 0.0 else planes[2, C]
     else:
-        found_x = min(max(x, planes[0, 2]), -planes[1, 2])
-        found_y = min(max(y, planes[2, 2]), -planes[3, 2])
+        best_x = min(max(x, planes[0, C]), -planes[1, C])
+        best_y = min(max(y, planes[2, C]), -planes[3, C])
+
     for i in range(BOX, count):
-        a, b, c = planes[i, 0], planes[i, 1], planes[i, 2]
-        if a * found_x + b * found_y >= c:
+        a = planes[i, A]
+        b = planes[i, B]
+        c = planes[i, C]
+        if a * best_x + b * best_y >= c:
             continue
-        least, most = -np.inf, np.inf  # along the line: c (a, b) + s (-b, a)
+
+        # What the half planes before leave of the border: c (a, b) + s (-b, a) from low to high.
+        low = -np.inf
+        high = np.inf
         for j in range(i):
-            slope = planes[j, 1] * a - planes[j, 0] * b
-            room = planes[j, 2] - c * (planes[j, 0] * a + planes[j, 1] * b)
+            slope = planes[j, B] * a - planes[j, A] * b
+            room = planes[j, C] - c * (planes[j, A] * a + planes[j, B] * b)
             if slope > PARALLEL:
-                least = max(least, room / slope)
+                low = max(low, room / slope)
             elif slope < -PARALLEL:
-                most = min(most, room / slope)
+                high = min(high, room / slope)
             elif room > 0.0:
-                most = -np.inf
-        if least > most:
-            return found_x, found_y, i
+                high = -np.inf
+        if low > high:
+            return best_x, best_y, i
         along = y * a - x * b
         if is_direction:
-            along = most if along > 0.0 else least
-        along = min(max(along, least), most)
-        found_x, found_y = c * a - along * b, c * b + along * a
-    return found_x, found_y, count
+            along = high if along > 0.0 else low
+        along = min(max(along, low), high)
+        best_x = c * a - along * b
+        best_y = c * b + along * a
+    return best_x, best_y, count

@@ -51,8 +51,8 @@ class PurePursuit(BaselinePolicy):
         if x <= 0.0:  # the path lies behind: turn on the spot
             return 0.0, math.copysign(config.max_angular, y)
         curvature = 2.0 * y / max(x * x + y * y, 1e-6)
-        most = TURN_SHARE * config.max_angular / max(abs(curvature), 1e-6)
-        speed = min(config.max_linear, most)
+        turning_speed = TURN_SHARE * config.max_angular / max(abs(curvature), 1e-6)
+        speed = min(config.max_linear, turning_speed)
         return speed, speed * curvature
 
 
@@ -62,16 +62,20 @@ def find_carrot(seen: DecodedObservation, lookahead: float) -> tuple[float, floa
     Returns:
         The point in the base frame; the path's last observed one where all are nearer.
     """
-    error, left = seen.heading_error, seen.cross_track
-    foot = (-left * math.sin(error), -left * math.cos(error))  # the nearest point of the path
+    error = seen.heading_error
+    offset = seen.cross_track
+    foot = (-offset * math.sin(error), -offset * math.cos(error))  # the nearest point of the path
     line = np.vstack([foot, np.zeros((0, 2)) if seen.points is None else seen.points])
     for (ax, ay), (bx, by) in zip(line[:-1].tolist(), line[1:].tolist(), strict=True):
         if math.hypot(bx, by) < lookahead:
             continue
-        ex, ey = bx - ax, by - ay
-        square, along = ex * ex + ey * ey, ax * ex + ay * ey
+        ex = bx - ax
+        ey = by - ay
+        square = ex * ex + ey * ey
+        along = ax * ex + ay * ey
         if square < 1e-12:
             continue
+
         root = along * along - square * (ax * ax + ay * ay - lookahead * lookahead)
         share = (-along + math.sqrt(max(root, 0.0))) / square
         share = min(max(share, 0.0), 1.0)

@@ -21,6 +21,12 @@ from acsar_gym.truth import GroundTruth
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
+X = 0
+Y = 1
+RATE_X = 2
+RATE_Y = 3
+RADIUS = 4
+"""Columns of tracks of movers, in the odometry frame [m, m/s]."""
 NO_TRACKS = np.zeros((0, 5))
 TRACK_MARGIN = 0.15
 """Obstacles that are no farther from a mover's hull belong to it [m]."""
@@ -29,50 +35,59 @@ TRACK_MARGIN = 0.15
 @loop
 def polygon_distance(x: float, y: float, sides: Floats) -> float:
     """Distance of a point from a convex polygon, (sides, 4); 0 inside [m]."""
-    best = np.inf
+    nearest = np.inf
     is_inside = True
     for n in range(len(sides)):
-        ax, ay = sides[n, 0], sides[n, 1]
-        ex, ey = sides[n, 2] - ax, sides[n, 3] - ay
-        share = ((x - ax) * ex + (y - ay) * ey) / (ex * ex + ey * ey)
+        start_x = sides[n, 0]
+        start_y = sides[n, 1]
+        side_x = sides[n, 2] - start_x
+        side_y = sides[n, 3] - start_y
+
+        share = (x - start_x) * side_x + (y - start_y) * side_y
+        share = share / (side_x * side_x + side_y * side_y)
         share = min(max(share, 0.0), 1.0)
-        dx, dy = x - ax - share * ex, y - ay - share * ey
-        best = min(best, dx * dx + dy * dy)
-        is_inside = is_inside and ex * (y - ay) >= ey * (x - ax)
-    return 0.0 if is_inside else math.sqrt(best)
+        dx = x - start_x - share * side_x
+        dy = y - start_y - share * side_y
+        nearest = min(nearest, dx * dx + dy * dy)
+        is_inside = is_inside and side_x * (y - start_y) >= side_y * (x - start_x)
+    return 0.0 if is_inside else math.sqrt(nearest)
 
 
 @loop
 def points_clearance(
-    x: float, y: float, theta: float, points: Floats, sides: Floats, outer: float, most: float
+    pose: Pose, points: Floats, sides: Floats, outer: float, limit: float
 ) -> float:
     """Distance of the footprint at a pose from the nearest point.
 
     Args:
-        x: of the pose [m].
-        y: of the pose [m].
-        theta: of the pose [rad].
+        pose: Pose of the robot.
         points: (n, 2), in the same frame as the pose [m].
-        sides: of the footprint, (sides, 4), in the base frame [m].
-        outer: radius of the disc around the footprint [m].
-        most: farther points don't count [m].
+        sides: Sides of the footprint, (sides, 4), in the base frame [m].
+        outer: Radius of the disc around the footprint [m].
+        limit: Points that are farther away don't count [m].
 
     Returns:
-        The distance, at most `most`; 0 where a point lies within the footprint [m].
+        The distance, at most `limit`; 0 if a point lies within the footprint [m].
     """
-    cos, sin, best = math.cos(theta), math.sin(theta), most
+    x, y, theta = pose
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    nearest = limit
     for n in range(len(points)):
-        dx, dy = points[n, 0] - x, points[n, 1] - y
-        reach = outer + best
+        dx = points[n, 0] - x
+        dy = points[n, 1] - y
+        reach = outer + nearest
         if dx * dx + dy * dy < reach * reach:
             gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides)
-            best = min(best, gap)
-    return best
+            nearest = min(nearest, gap)
+    return nearest
 
 
 def to_base(pose: Pose, places: Floats) -> Floats:
     """(n, 2): places of the odometry frame in the base frame of a robot that is there [m]."""
-    dx, dy, cos, sin = *(places - pose[:2]).T, math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = (places - pose[:2]).T
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
     return np.column_stack([dx * cos + dy * sin, dy * cos - dx * sin])
 
 
@@ -85,11 +100,13 @@ def true_tracks(truth: GroundTruth, pose: Pose) -> Floats:
     """(m, 5): as `MappedPolicy.tracks`, of a robot whose pose by odometry is `pose`."""
     if truth.crowd is None:
         return NO_TRACKS
-    states, base, turned = truth.crowd.states, truth.pose, truth.pose[2] - pose[2]
-    cos, sin = math.cos(turned), math.sin(turned)
+    states = truth.crowd.states
+    turned = truth.pose[2] - pose[2]
+    cos = math.cos(turned)
+    sin = math.sin(turned)
     back = np.array([[cos, -sin], [sin, cos]])
-    places = pose[:2] + (states[:, :2] - base[:2]) @ back
-    return np.column_stack([places, states[:, 2:4] @ back, truth.crowd.radii])
+    places = pose[:2] + (states[:, X:RATE_X] - truth.pose[:2]) @ back
+    return np.column_stack([places, states[:, RATE_X:RADIUS] @ back, truth.crowd.radii])
 
 
 class MappedPolicy(BaselinePolicy):
@@ -151,8 +168,10 @@ class MappedPolicy(BaselinePolicy):
         The newest scan, and the newest place of what was met in each cell of the map, as cells are
         too coarse for a footprint that passes within centimetres.
         """
-        config, (x, y, theta) = self.setting.config, pose
-        cos, sin = math.cos(theta), math.sin(theta)
+        x, y, theta = pose
+        config = self.setting.config
+        cos = math.cos(theta)
+        sin = math.sin(theta)
         origin = (
             x + cos * config.lidar_x_offset - sin * config.lidar_y_offset,
             y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
@@ -160,23 +179,29 @@ class MappedPolicy(BaselinePolicy):
         ranges = np.zeros(0) if seen.ranges is None else seen.ranges
         along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
         scan = (origin + ranges[:, None] * along)[ranges < config.lidar.max_range - 1e-3]
+
+        # The newest place of each cell; of cells that others have overwritten, their centres.
         side = self.map.cell_side
         i, j = (cells_of(scan, side) & LAST_CELL).T
         self._places[i, j] = scan
         cells = self.map.cells_met(reach)
         i, j = (cells & LAST_CELL).T
         places = self._places[i, j]
-        elsewhere = (cells_of(places, side) != cells).any(axis=1)
-        places[elsewhere] = cell_centre(cells[elsewhere], side)
-        near = np.abs(scan - pose[:2]).max(axis=1) <= reach
-        points = np.concatenate([scan[near], places])
-        apart = np.hypot(*(points[:, None] - tracks[:, :2]).T).T
-        standing: Floats = points[(apart > tracks[:, 4] + TRACK_MARGIN).all(axis=1)]
+        is_elsewhere = (cells_of(places, side) != cells).any(axis=1)
+        places[is_elsewhere] = cell_centre(cells[is_elsewhere], side)
+
+        # Without what belongs to a track.
+        is_near = np.abs(scan - pose[:2]).max(axis=1) <= reach
+        points = np.concatenate([scan[is_near], places])
+        distances = np.hypot(*(points[:, None] - tracks[:, X:RATE_X]).T).T
+        standing: Floats = points[(distances > tracks[:, RADIUS] + TRACK_MARGIN).all(axis=1)]
         return standing
 
     def carrot(self, pose: Pose, lookahead: float) -> tuple[float, float]:
-        """The point that is so far along the way [m], in the base frame [m]."""
+        """The point at a distance along the way [m], in the base frame [m]."""
         x, y = self.map.point_ahead(lookahead)
-        dx, dy = x - pose[0], y - pose[1]
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        dx = x - pose[0]
+        dy = y - pose[1]
+        cos = math.cos(pose[2])
+        sin = math.sin(pose[2])
         return dx * cos + dy * sin, dy * cos - dx * sin

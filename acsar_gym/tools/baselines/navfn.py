@@ -20,20 +20,30 @@ from acsar_gym.tools.policies.policy import DecodedObservation
 class NavfnConstants:
     """Constants of regulated pure pursuit; `constants.yaml` has those of the presets."""
 
-    carrot_time: float = 0.9  # the carrot is this much time ahead at the present speed [s]
-    min_carrot: float = 0.83  # its least distance [radius]
-    turn_share: float = 0.67  # largest yaw rate in curves [greatest yaw rate]
-    slow_clearance: float = 0.62  # nearer to an obstacle it drives slower, in proportion [radius]
-    slow_share: float = 0.3  # what is left of the speed without any clearance
-    min_speed: float = 0.16  # least regulated speed [top speed]
-    turn_bearing: float = 0.7  # it turns on the spot while the carrot's bearing is larger [rad]
-    turn_gain: float = 2.5  # yaw rate of that turn for a bearing of 1 rad [1/s]
-    arc_time: float = 1.0  # predicted arcs are checked for collisions so far ahead [s]
-    arc_clearance: float = 0.083  # least clearance on a predicted arc [radius]
+    carrot_time: float = 0.9
+    """The carrot is this much time ahead at the present speed [s]."""
+    min_carrot: float = 0.83
+    """Its least distance [radius]."""
+    turn_share: float = 0.67
+    """Largest yaw rate in curves [greatest yaw rate]."""
+    slow_clearance: float = 0.62
+    """Nearer to an obstacle the robot drives slower, in proportion [radius]."""
+    slow_share: float = 0.3
+    """What remains of the speed without any clearance."""
+    min_speed: float = 0.16
+    """Least regulated speed [top speed]."""
+    turn_bearing: float = 0.7
+    """The robot turns on the spot while the carrot's bearing is larger [rad]."""
+    turn_gain: float = 2.5
+    """Yaw rate of that turn for a bearing of 1 rad [1/s]."""
+    arc_time: float = 1.0
+    """How far ahead predicted arcs are checked for collisions [s]."""
+    arc_clearance: float = 0.083
+    """Least clearance on a predicted arc [radius]."""
 
 
 SPEED_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2)
-"""Speeds that are tried where the regulated one leads to a collision, as shares of it."""
+"""Speeds that are tried if the regulated one leads to a collision, as shares of it."""
 CHECK_SPACING = 0.4
 """Greatest distance between two checked poses of an arc [radius]."""
 
@@ -47,16 +57,20 @@ class Navfn(MappedPolicy):
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
-        units, k = self.units, self.constants
+        units = self.units
+        k = self.constants
         x, y = self.carrot(pose, max(k.carrot_time * seen.linear, k.min_carrot * units.radius))
-        bearing, distance = math.atan2(y, x), max(math.hypot(x, y), 0.2 * units.radius)
+        bearing = math.atan2(y, x)
+        turn = math.copysign(min(k.turn_gain * abs(bearing), units.turning), bearing)
         slow = k.slow_clearance * units.radius
         near = self.obstacles(pose, seen, units.speed * k.arc_time + 2.0 * units.radius + slow)
-        turn = math.copysign(min(k.turn_gain * abs(bearing), units.turning), bearing)
         if abs(bearing) > k.turn_bearing:
             return 0.0, turn
+
+        # The speed, regulated by clearance and curvature.
+        distance = max(math.hypot(x, y), 0.2 * units.radius)
         curvature = 2.0 * y / distance**2
-        free = points_clearance(*pose, near, self.sides, self.outer, slow)
+        free = self._clearance(pose, near, slow)
         speed = min(
             units.speed * (k.slow_share + (1.0 - k.slow_share) * free / slow),
             k.turn_share * units.turning / max(abs(curvature), 1e-6),
@@ -67,16 +81,20 @@ class Navfn(MappedPolicy):
                 return share * speed, share * speed * curvature
         return 0.0, turn
 
+    def _clearance(self, pose: Pose, near: Floats, limit: float) -> float:
+        return points_clearance(pose, near, self.sides, self.outer, limit)
+
     def _is_free(self, pose: Pose, linear: float, angular: float, near: Floats) -> bool:
         """Whether a predicted arc keeps its clearance, or comes no nearer than it is."""
-        (x, y, theta), time = pose, self.constants.arc_time
+        x, y, theta = pose
+        time = self.constants.arc_time
         wanted = self.constants.arc_clearance * self.outer
-        least = points_clearance(x, y, theta, near, self.sides, self.outer, wanted) - 2e-3
+        enough = self._clearance(pose, near, wanted) - 2e-3
         checks = math.ceil(self.units.speed * time / (CHECK_SPACING * self.outer))
         for _ in range(checks):
             theta += angular * time / checks
             x += linear * math.cos(theta) * time / checks
             y += linear * math.sin(theta) * time / checks
-            if points_clearance(x, y, theta, near, self.sides, self.outer, wanted) < least:
+            if self._clearance((x, y, theta), near, wanted) < enough:
                 return False
         return True

@@ -24,8 +24,18 @@ import numpy as np
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import Privileged
-from acsar_gym.tools.baselines.half_planes import BOX, make_box, solve_programme
-from acsar_gym.tools.baselines.mapped import MappedPolicy, Pose, to_base, true_tracks
+from acsar_gym.tools.baselines.half_planes import BOX, A, B, C, make_box, solve_programme
+from acsar_gym.tools.baselines.mapped import (
+    RADIUS,
+    RATE_X,
+    RATE_Y,
+    MappedPolicy,
+    Pose,
+    X,
+    Y,
+    to_base,
+    true_tracks,
+)
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 from acsar_gym.worlds.geometry import Surroundings, footprint_gap, make_surroundings
 
@@ -39,16 +49,26 @@ ACROSS = 0.05
 class OrcaConstants:
     """Constants of ORCA; `constants.yaml` has those of the presets."""
 
-    horizon: float = 2.0  # movers that would be met later don't count [s]
-    wall_horizon: float = 0.5  # what stands isn't reached sooner [s]
-    share: float = 1.0  # of the avoidance that the robot takes: 0.5 where others take the rest
-    mover_margin: float = 0.2  # of the disc around the footprint [radius]
-    wall_margin: float = 0.1  # least clearance from what stands [radius]
-    lookahead: float = 3.0  # distance along the way of the point that it heads for [radius]
-    delay: float = 1.5  # until a command takes effect [period]
-    turn_gain: float = 3.0  # yaw rate for a velocity whose bearing is 1 rad [1/s]
-    reverse_share: float = 0.4  # greatest speed backwards [top speed]
-    reverse_bearing: float = 1.75  # it backs off slowly where the bearing is larger [rad]
+    horizon: float = 2.0
+    """Movers that would be met later don't count [s]."""
+    wall_horizon: float = 0.5
+    """What stands isn't reached sooner [s]."""
+    share: float = 1.0
+    """Share of the avoidance that the robot takes: 0.5 if others take the rest."""
+    mover_margin: float = 0.2
+    """Margin of the disc around the footprint [radius]."""
+    wall_margin: float = 0.1
+    """Least clearance from what stands [radius]."""
+    lookahead: float = 3.0
+    """Distance along the way of the point that the robot heads for [radius]."""
+    delay: float = 1.5
+    """Time until a command takes effect [period]."""
+    turn_gain: float = 3.0
+    """Yaw rate for a velocity whose bearing is 1 rad [1/s]."""
+    reverse_share: float = 0.4
+    """Greatest speed backwards [top speed]."""
+    reverse_bearing: float = 1.75
+    """The robot backs off slowly if the bearing is larger [rad]."""
 
 
 class VelocityModel(NamedTuple):
@@ -78,7 +98,8 @@ class Orca(MappedPolicy):
     def equip(self, setting: PolicyContext) -> None:
         """Prepare for a robot and a task."""
         super().equip(setting)
-        units, k = self.units, self.constants
+        units = self.units
+        k = self.constants
         self._model = VelocityModel(
             radius=(1.0 + k.mover_margin) * units.radius,
             horizon=k.horizon,
@@ -91,24 +112,35 @@ class Orca(MappedPolicy):
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the velocity command [m/s, rad/s]."""
-        units, k = self.units, self.constants
-        delay, tracks = k.delay * units.period, self.tracks()
-        twist = seen.linear, seen.angular
-        soon, speed = predict_pose(pose, twist, self.sent, units.lag, delay)
+        units = self.units
+        k = self.constants
+        delay = k.delay * units.period
+        twist = (seen.linear, seen.angular)
+        pose_then, speed = predict_pose(pose, twist, self.sent, units.lag, delay)
+
+        # What obstacles and movers leave of the velocities.
+        tracks = self.tracks()
         reach = units.speed * (k.wall_horizon + delay) + units.radius + self._model.wall_margin
-        points = to_base(soon, self.obstacles(pose, seen, reach, tracks))
-        places = to_base(soon, tracks[:, :2] + delay * tracks[:, 2:4])
-        rates = to_base((0.0, 0.0, soon[2]), tracks[:, 2:4])
-        movers = np.column_stack([places, rates, tracks[:, 4]])
+        points = to_base(pose_then, self.obstacles(pose, seen, reach, tracks))
+        moved = tracks[:, X:RATE_X] + delay * tracks[:, RATE_X:RADIUS]
+        rates = to_base((0.0, 0.0, pose_then[2]), tracks[:, RATE_X:RADIUS])
+        movers = np.column_stack([to_base(pose_then, moved), rates, tracks[:, RADIUS]])
         planes, walls = list_planes(speed, points, movers, self._model, self._footprint)
+
+        # The velocity within them that is nearest to the one along the way.
         make_box((-units.speed, units.speed), (-units.speed, units.speed), planes)
         carrot = np.array([self.map.point_ahead(k.lookahead * units.radius)])
-        ((x, y),) = to_base(soon, carrot).tolist()
+        ((x, y),) = to_base(pose_then, carrot).tolist()
         share = units.speed / max(math.hypot(x, y), 1e-6)
-        ahead, left = solve_programme(planes, BOX + walls, share * x, share * y)
-        bearing, direction, fast = math.atan2(left, ahead), 1.0, math.hypot(ahead, left)
+        vx, vy = solve_programme(planes, BOX + walls, share * x, share * y)
+
+        # The command: turn towards it, or away from it to back off.
+        bearing = math.atan2(vy, vx)
+        fast = math.hypot(vx, vy)
+        direction = 1.0
         if abs(bearing) > k.reverse_bearing and fast <= k.reverse_share * units.speed:
-            bearing, direction = math.remainder(bearing + math.pi, math.tau), -1.0
+            bearing = math.remainder(bearing + math.pi, math.tau)
+            direction = -1.0
         turn = min(max(k.turn_gain * bearing, -units.turning), units.turning)
         wanted = direction * fast * max(math.cos(bearing), 0.0)
         planes = planes_along(planes, units.period * turn)
@@ -136,8 +168,11 @@ def predict_pose(
 
     `lag` is the time constant of the motors [s].
     """
-    (x, y, theta), (linear, angular), step = pose, twist, seconds / LAG_STEPS
+    x, y, theta = pose
+    linear, angular = twist
+    step = seconds / LAG_STEPS
     blend = 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
+
     for _ in range(LAG_STEPS):
         linear += blend * (sent[0] - linear)
         angular += blend * (sent[1] - angular)
@@ -165,13 +200,15 @@ def list_planes(
     """
     planes = np.zeros((BOX + len(points) + len(movers), 3))
     for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
+        x = points[n, 0]
+        y = points[n, 1]
         gap, at_x, at_y = footprint_gap(x, y, footprint, 0)
         if gap == 0.0:
             at_x = at_y = 0.0
-        apart = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2) + 1e-9
+        distance = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2) + 1e-9
         fastest = max(gap - model.wall_margin, 0.0) / model.wall_horizon
-        write_plane(planes[BOX + n], (at_x - x) / apart, (at_y - y) / apart, -fastest)
+        write_plane(planes[BOX + n], (at_x - x) / distance, (at_y - y) / distance, -fastest)
+
     for m in range(len(movers)):
         forbid_meeting(planes[BOX + len(points) + m], movers[m], speed, model)
     return planes, len(points)
@@ -180,25 +217,40 @@ def list_planes(
 @jit
 def write_plane(plane: Floats, a: float, b: float, c: float) -> None:
     """Write a row of half planes."""
-    plane[0], plane[1], plane[2] = a, b, c
+    plane[A] = a
+    plane[B] = b
+    plane[C] = c
 
 
 @jit
 def forbid_meeting(plane: Floats, mover: Floats, speed: float, model: VelocityModel) -> None:
     """Write the half plane that a mover leaves to a robot of that speed, section 4 of the paper."""
-    x, y, both = mover[0], mover[1], model.radius + mover[4]
-    vx, vy, square = speed - mover[2], -mover[3], x * x + y * y
-    is_near = square <= both * both
+    x = mover[X]
+    y = mover[Y]
+    radius = model.radius + mover[RADIUS]
+    square = x * x + y * y
+    is_near = square <= radius * radius
     horizon = model.period if is_near else model.horizon
-    wx, wy = vx - x / horizon, vy - y / horizon
-    along, from_cap = wx * x + wy * y, wx * wx + wy * wy
-    if is_near or (along < 0.0 and along * along > both * both * from_cap):
+
+    # The velocity relative to the mover, and to the centre of the cap of forbidden velocities.
+    vx = speed - mover[RATE_X]
+    vy = -mover[RATE_Y]
+    wx = vx - x / horizon
+    wy = vy - y / horizon
+    along = wx * x + wy * y
+    from_cap = wx * wx + wy * wy
+
+    # The nearest border: of the cap, or of one of the legs.
+    if is_near or (along < 0.0 and along * along > radius * radius * from_cap):
         length = math.sqrt(from_cap) + 1e-9
-        a, b, push = wx / length, wy / length, both / horizon - length
+        a = wx / length
+        b = wy / length
+        push = radius / horizon - length
     else:
         side = 1.0 if x * wy - y * wx > 0.0 else -1.0
-        leg = side * math.sqrt(square - both * both)
-        a, b = -(x * both + y * leg) / square, (x * leg - y * both) / square
+        leg = side * math.sqrt(square - radius * radius)
+        a = -(x * radius + y * leg) / square
+        b = (x * leg - y * radius) / square
         push = -(a * vx + b * vy)
     write_plane(plane, a, b, a * speed + model.share * push)
 
@@ -206,12 +258,13 @@ def forbid_meeting(plane: Floats, mover: Floats, speed: float, model: VelocityMo
 @loop
 def planes_along(planes: Floats, heading: float) -> Floats:
     """The half planes as limits of the speed along a heading; the first BOX stay empty."""
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     limits = np.zeros_like(planes)
     for n in range(BOX, len(planes)):
-        slope = planes[n, 0] * cos + planes[n, 1] * sin
+        slope = planes[n, A] * cos + planes[n, B] * sin
         if abs(slope) > ACROSS:
-            write_plane(limits[n], math.copysign(1.0, slope), 0.0, planes[n, 2] / abs(slope))
+            write_plane(limits[n], math.copysign(1.0, slope), 0.0, planes[n, C] / abs(slope))
         else:
             write_plane(limits[n], 1.0, 0.0, -np.inf)
     return limits

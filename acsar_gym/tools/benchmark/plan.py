@@ -1,222 +1,44 @@
-"""What a benchmark is asked to do: agents, conditions, and its cells, each of which is a job."""
+"""What a benchmark measures: agents on sets of scenes, behind links, under conditions."""
 
 from __future__ import annotations
 
-import json
-import re
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import product
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import acsar_gym
-from acsar_gym.config import RobotConfig
-from acsar_gym.envs.ids import find_id, full_id
-from acsar_gym.errors import ConfigError, PolicyError, show_value, suggest_name
+from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
-from acsar_gym.registration import IDS, snake_case
-from acsar_gym.resources import AGENTS
-from acsar_gym.sensors import MOVERS
-from acsar_gym.tools.baselines import AMONG_MOVERS, BASELINES, PRIVILEGED_BASELINES
-from acsar_gym.tools.benchmark.cells import BENCHMARK_SCHEMA, Cell
-from acsar_gym.tools.benchmark.scenes import (
-    GIVEN,
-    OWN_NAMESPACE,
-    SceneSet,
-    cell_id,
-    has_sensor,
-)
-from acsar_gym.tools.evaluation import runs
-from acsar_gym.tools.evaluation.runs import PortablePolicy
-from acsar_gym.tools.policies import CallablePolicy, is_callable
-
-PACKAGED = "packaged"  # name of the agent that consists of the policies which come with the package
-LEARNED, BASELINE, PRIVILEGED = "learned", "baseline", "privileged"
-"""Kinds of agents. A privileged agent is a baseline that knows what only a simulator does."""
-MAX_NAME_LENGTH = 60  # most characters of an agent's name
-
-
-@dataclass(frozen=True, slots=True)
-class Agent:
-    """A policy that drives on one id: one training seed of a named agent."""
-
-    name: str
-    kind: str  # "learned", "baseline" or "privileged"
-    env: str  # id of the env, with the module that registers it where there is one
-    policy: str  # file, function, class or name of a baseline, as `evaluate --policy` takes it
-    training_seed: int | None = None
-    sha256: str | None = None
-
-    @property
-    def id(self) -> str:
-        """Id of the env as results name it; see `scenes.cell_id`."""
-        return cell_id(self.env)
-
-    @property
-    def about(self) -> dict[str, Any]:
-        """What results say about it."""
-        return {
-            "kind": self.kind,
-            "id": self.id,
-            "training_seed": self.training_seed,
-            "file": Path(self.policy).name,
-            "sha256": self.sha256,
-        }
-
-
-def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
-    """Raise ConfigError for the first name that isn't known, with the one that may be meant."""
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"{option} {show_value(name)}{suggest_name(name[:40], known)}")
-
-
-def find_env(name: str) -> str:
-    """Return the full id of an env: "barn" is "acsar_gym/Barn-v1"; ConfigError if unknown."""
-    env_id = full_id(name)
-    if env_id.startswith(OWN_NAMESPACE) and env_id.removeprefix(OWN_NAMESPACE) not in IDS:
-        known = [*IDS, *(snake_case(own.partition("-")[0]) for own in IDS)]
-        raise ConfigError(f"--env {show_value(name)}{suggest_name(name[:40], known)}")
-    return find_id(env_id)
-
-
-def choose_agents(
-    names: Sequence[str], ids: Sequence[str], trained: Path | None, seeds: int
-) -> list[Agent]:
-    """Find agents by their names.
-
-    Args:
-        names: "packaged", baselines, folders in `trained`, ONNX files, and functions or classes
-            such as mine.planner:Planner; empty for those of the first three that
-            `drives_unnamed`.
-        ids: as `find_env` returns them.
-        trained: folder with NAME/SEED/policy.onnx; None for none.
-        seeds: most training seeds of each.
-    """
-    given = [
-        name
-        for name in dict.fromkeys(names)
-        if ":" in name or Path(name).suffix in (".py", ".onnx")
-    ]
-    agents = [
-        _read_agent(PACKAGED, str(file), None)
-        for file in sorted((AGENTS / "policies").glob("*.onnx"))
-    ]
-    agents += [] if trained is None else trained_agents(trained, seeds, ids)
-    for name in BASELINES:
-        kind = PRIVILEGED if name in PRIVILEGED_BASELINES else BASELINE
-        agents += [Agent(name, kind, env_id, name) for env_id in ids]
-    known = list(dict.fromkeys(agent.name for agent in agents))
-    check_names("--agents", [name for name in names if name not in given], known)
-    benchmarked = {cell_id(env_id) for env_id in ids}
-    chosen = [
-        agent
-        for agent in agents
-        if agent.id in benchmarked and (agent.name in names if names else drives_unnamed(agent))
-    ]
-    chosen += [agent for name in given for agent in given_agents(name, ids)]
-    counts = Counter((agent.name, agent.env, agent.training_seed) for agent in chosen)
-    for (name, env_id, _), count in counts.items():
-        if count > 1:
-            raise ConfigError(
-                f"--agents: {count} of them are called {show_value(name)} on {env_id}: rename a "
-                "file, function or class"
-            )
-    return chosen
-
-
-def drives_unnamed(agent: Agent) -> bool:
-    """Whether an agent drives where `--agents` names none.
-
-    Privileged agents don't, and those made for worlds with movers only if the robot senses them.
-    """
-    if agent.kind == BASELINE and agent.name in AMONG_MOVERS:
-        return has_sensor(agent.env, MOVERS)
-    return agent.kind != PRIVILEGED
-
-
-def given_agents(policy: str, ids: Sequence[str]) -> list[Agent]:
-    """Return a file, or Python code, as an agent on the id that it names, else on all of `ids`."""
-    path, _, function = policy.rpartition(":")
-    is_file = not path or Path(path).suffix == ".py"
-    name = Path(path or policy).stem if is_file else function
-    if is_callable(policy) and not CallablePolicy(policy, ids[0]).said_id:
-        return [_read_agent(name, policy, None, env_id) for env_id in ids]
-    agent = _read_agent(name, policy, None, named=ids)
-    if agent.id not in map(cell_id, ids):
-        raise ConfigError(f"--agents {policy}: drives on {agent.id}: name it with --env, too")
-    return [agent]
-
-
-def trained_agents(folder: Path, seeds: int, ids: Iterable[str] = ()) -> list[Agent]:
-    """Find trained policies, `folder`/NAME/SEED/policy.onnx: the `seeds` smallest of each name."""
-    files: dict[str, list[tuple[int, Path]]] = {}
-    for file in folder.glob("*/*/policy.onnx"):
-        match = re.search(r"(\d+)\D*$", file.parent.name)
-        if match is None:
-            raise ConfigError(
-                f"{file}: its folder must be named after the seed, such as 0 or seed-0"
-            )
-        files.setdefault(file.parts[-3], []).append((int(match[1]), file))
-    if not files:
-        raise ConfigError(f"--trained {folder}: holds no NAME/SEED/policy.onnx")
-    return [
-        _read_agent(name, str(file), seed, named=ids)
-        for name in sorted(files)
-        for seed, file in sorted(files[name])[:seeds]
-    ]
-
-
-def _read_agent(
-    name: str, policy: str, seed: int | None, env: str = "", named: Iterable[str] = ()
-) -> Agent:
-    """Read what a policy says about itself; `named` are ids of other packages that it may name."""
-    loaded = runs.load_policy(policy, trust=False, env=env)
-    for env_id in named:
-        if cell_id(env_id) == cell_id(loaded.env_id):
-            env = env_id
-    if not env and not loaded.env_named and cell_id(loaded.env_id) not in IDS:
-        raise PolicyError(
-            f"{loaded.path}: made for {show_value(loaded.env_id)}, which isn't acsar_gym's: if you "
-            "trust that package, name it with --env"
-        )
-    return Agent(name[:MAX_NAME_LENGTH], LEARNED, env or loaded.env_id, policy, seed, loaded.sha256)
-
+from acsar_gym.resources import PACKAGE, hash_sources
+from acsar_gym.tools.benchmark.agents import Agent
+from acsar_gym.tools.benchmark.figures import Scoring
+from acsar_gym.tools.benchmark.scenes import GIVEN, SceneSet, make_planar
+from acsar_gym.tools.evaluation.runs import EpisodeJob, SentPolicy
 
 NOMINAL = "nominal"
+ROS2 = "ros2"
+LINKS = (*BODIES, ROS2)
 
 
 @dataclass(frozen=True)
 class Condition:
     """What differs from the robot and the wire as configured."""
 
-    words: str  # what it is, for tables
+    words: str
+    """What it is, for tables."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the robot's config that differ, as `RobotConfig.with_` takes them."""
-    randomization: int = 0  # level of `physics.randomization`; 0 for none
+    randomization: int = 0
+    """Level of `physics.randomization`; 0 for none."""
     faults: Mapping[str, float] = field(default_factory=dict)
-    """Faults of the wire; see `links.faults.Faults`."""
+    """Faults of the wire, see `links.faults.Faults`. Such robots are driven one at a time."""
 
-    def options(self, scenes: SceneSet, config: RobotConfig) -> dict[str, Any]:
-        """Return the options of an id's env besides the robot; None where nothing changes."""
-        level = self.randomization
-        return {
-            "worlds": scenes.worlds,
-            "difficulty": scenes.difficulty,
-            "randomization": randomization_level(config, level) if level else None,
-            "faults": dict(self.faults) or None,
-        }
-
-    def impossible(self, link: str) -> str:
-        """Say why no agent can be measured under this condition; empty if one can."""
-        if self.randomization and link == PORT:
-            return f"{self.words}: the emulated board's physics don't vary"
-        if (self.randomization or self.changes) and link == ROS2:
-            return f"{self.words}: a robot in ROS is as it is"
-        return ""
+    @property
+    def about(self) -> dict[str, Any]:
+        """The fields that aren't empty, for JSON."""
+        return {name: value for name, value in asdict(self).items() if value}
 
 
 CONDITIONS: dict[str, Condition] = {
@@ -245,101 +67,130 @@ CONDITIONS: dict[str, Condition] = {
 """Conditions by name."""
 
 
-PLANAR, BULLET, PORT, ROS2 = "planar", "bullet", "port", "ros2"
-REAL_TIME_LINKS = (PORT, ROS2)
-LINK_KINDS = (*BODIES, *REAL_TIME_LINKS)
+class Place(NamedTuple):
+    """What agents that are compared share."""
 
-
-@dataclass(frozen=True, slots=True)
-class BenchmarkJob:
-    """A cell, for one process."""
-
-    cell: Cell
-    policy: PortablePolicy
-    """The policy, with what its file contains: another machine may not have the file."""
-    scenes: SceneSet
-    count: int  # how many scenes are driven
-    key: str = ""
-    """All that its result depends on."""
+    id: str
+    """Id of the env without its namespace, such as "Barn-v1"."""
+    scenes: str
+    """Set of scenes, such as "barn-fast" or "clutter/husky"."""
+    link: str
+    condition: str
 
 
 @dataclass(frozen=True)
-class BenchmarkPlan:
-    """Everything that a benchmark measures; ConfigError for an unknown link or condition."""
+class Cell:
+    """An agent's policy at a place: a job of the benchmark."""
 
-    agents: tuple[Agent, ...]
-    sets: tuple[SceneSet, ...]  # scenes, robots and scores, each of an agent's id
-    links: tuple[str, ...] = (PLANAR, BULLET)
-    conditions: tuple[str, ...] = (NOMINAL,)
-    count: int = 200  # scenes of every cell; fewer where a folder holds fewer
-    port_count: int = 40  # scenes of every cell in real time: behind the emulated port, or in ROS
-
-    def __post_init__(self) -> None:
-        check_names("--links", self.links, LINK_KINDS)
-        check_names("--conditions", self.conditions, CONDITIONS)
-        if self.is_real_time and self.port_count < 1:
-            raise ConfigError(f"--port-scenes {self.port_count}: must be at least 1")
-        if not self.agents:
-            raise ConfigError("--agents: none of them drives on any of these --env")
+    agent: Agent
+    scenes: SceneSet
+    link: str
+    condition: str
+    count: int
+    """How many scenes are driven."""
 
     @property
-    def is_real_time(self) -> bool:
-        """Whether any of the links takes real time."""
-        return not {*self.links}.isdisjoint(REAL_TIME_LINKS)
+    def place(self) -> Place:
+        """Where it drives."""
+        return Place(self.scenes.id, self.scenes.name, self.link, self.condition)
 
-    def count_scenes(self, some: SceneSet) -> int:
-        """Return how many scenes of a set are used in a simulation."""
-        return min(self.count, len(some)) if some.split == GIVEN else self.count
+    @property
+    def about(self) -> dict[str, Any]:
+        """What identifies its result."""
+        seed = self.agent.training_seed
+        return {"agent": self.agent.name, "training_seed": seed, **self.place._asdict()}
+
+    @property
+    def scoring(self) -> Scoring:
+        """How its episodes are scored; ConfigError if the task doesn't report the score."""
+        task = make_planar(self.scenes.env).task
+        return Scoring.of(task, self.scenes.score, self.scenes.config.max_linear)
+
+    @property
+    def job(self) -> EpisodeJob:
+        """The job of its episodes."""
+        condition = CONDITIONS[self.condition]
+        config = self.scenes.config.with_(**condition.changes)
+        level = condition.randomization
+
+        options = {
+            "worlds": self.scenes.worlds,
+            "difficulty": self.scenes.difficulty,
+            "randomization": randomization_level(config, level) if level else None,
+            "faults": dict(condition.faults) or None,
+        }
+        return EpisodeJob(
+            policy=SentPolicy.of(self.agent.policy),
+            link=self.link,
+            robot=config,
+            options=options,
+            resets=self.scenes.resets(self.count),
+        )
+
+
+def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Raise ConfigError for the first name that isn't known, with the one that may be meant."""
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"{option} {show_value(name)}{suggest_name(name[:40], known)}")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that a benchmark measures.
+
+    Raises:
+        ConfigError: A link or condition is unknown, a robot in ROS can't have a condition, or a
+            task doesn't report the score of its scenes.
+    """
+
+    agents: tuple[Agent, ...]
+    sets: tuple[SceneSet, ...]
+    links: tuple[str, ...] = ("planar", "bullet")
+    conditions: tuple[str, ...] = (NOMINAL,)
+    count: int = 200
+    """Scenes of every cell; fewer if a folder holds fewer."""
+
+    def __post_init__(self) -> None:
+        check_names("--links", self.links, LINKS)
+        check_names("--conditions", self.conditions, CONDITIONS)
+        if ROS2 in self.links and self.conditions != (NOMINAL,):
+            raise ConfigError("--links ros2: drives under the condition nominal only")
+        for cell in self.cells():
+            cell.scoring  # noqa: B018 - before anything drives
 
     def check(self) -> None:
         """Compare the scenes with the recorded ones; ConfigError if they are others."""
-        for some in self.sets:
-            some.check(self.count_scenes(some))
+        for scenes in self.sets:
+            scenes.check(self.count_scenes(scenes))
+
+    def count_scenes(self, scenes: SceneSet) -> int:
+        """Return how many scenes of a set are driven."""
+        return min(self.count, len(scenes)) if scenes.split == GIVEN else self.count
+
+    def cells(self) -> Iterator[Cell]:
+        """Yield the cells, of one set and link after the other."""
+        for scenes, condition, link in product(self.sets, self.conditions, self.links):
+            count = self.count_scenes(scenes)
+            for agent in self.agents:
+                if agent.env == scenes.env:
+                    yield Cell(agent, scenes, link, condition, count)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the plan for JSON; equal plans give equal results."""
+        """Return the plan for JSON, with hashes; equal plans give equal results."""
         agents: dict[str, list[dict[str, Any]]] = {}
         for agent in self.agents:
             agents.setdefault(agent.name, []).append(agent.about)
-        scenes: dict[str, dict[str, Any]] = {}
-        for some in self.sets:
-            about = some.about | {"count": self.count_scenes(some)}
-            scenes.setdefault(some.id, {})[some.name] = about
+
+        sets = {
+            f"{scenes.id} {scenes.name}": scenes.about | {"count": self.count_scenes(scenes)}
+            for scenes in self.sets
+        }
         return {
-            "schema": BENCHMARK_SCHEMA,
             "version": acsar_gym.__version__,
+            "sources": hash_sources(PACKAGE),
             "agents": agents,
             "links": list(self.links),
-            "conditions": {name: condition_fields(CONDITIONS[name]) for name in self.conditions},
-            "scenes": scenes,
-            "port_scenes": self.port_count if self.is_real_time else 0,
+            "conditions": {name: CONDITIONS[name].about for name in self.conditions},
+            "scenes": sets,
         }
-
-    def jobs(self) -> Iterator[BenchmarkJob]:
-        """Yield the jobs, cells of one set and link after the other."""
-        policies = [
-            PortablePolicy.of(runs.load_policy(agent.policy, trust=False, env=agent.env))
-            for agent in self.agents
-        ]
-        for scenes, condition, link in product(self.sets, self.conditions, self.links):
-            count = self.count_scenes(scenes)
-            count = min(count, self.port_count) if link in REAL_TIME_LINKS else count
-            for agent, policy in zip(self.agents, policies, strict=True):
-                if agent.id == scenes.id:
-                    cell = Cell(
-                        agent.name, agent.training_seed, scenes.id, link, condition, scenes.name
-                    )
-                    given = {
-                        "versions": [BENCHMARK_SCHEMA, acsar_gym.__version__],
-                        "cell": asdict(cell),
-                        "agent": agent.about,
-                        "scenes": scenes.about | {"count": count},
-                        "condition": condition_fields(CONDITIONS[condition]),
-                    }
-                    key = json.dumps(given, sort_keys=True)
-                    yield BenchmarkJob(cell, policy, scenes, count, key)
-
-
-def condition_fields(condition: Condition) -> dict[str, Any]:
-    """Return the fields of a condition for JSON, without empty ones."""
-    return {name: value for name, value in asdict(condition).items() if value}

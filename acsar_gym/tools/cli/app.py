@@ -58,14 +58,12 @@ def print_completion(shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.
 
     For bash: acsar-gym completion bash > ~/.local/share/bash-completion/completions/acsar-gym
     """
-    from acsar_gym.tools.training.plan import TrainingOptions  # noqa: PLC0415
-
     with contextlib.suppress(SystemExit):  # with which tyro ends after printing
-        parse_command(["--tyro-print-completion", shell], train=TrainingOptions)
+        parse_command(["--tyro-print-completion", shell])
     return 0
 
 
-def parse_command(words: list[str], **others: Any) -> Any:
+def parse_command(words: list[str]) -> Any:
     """Run the command of a command line."""
     sections = get_args(CommandSection)
     found: dict[str, Any] = {}
@@ -75,7 +73,7 @@ def parse_command(words: list[str], **others: Any) -> Any:
         found[first] = one.function
         if inner:
             groups.setdefault(first, {})[inner] = one.function
-    found |= {name: make_group(functions) for name, functions in groups.items()} | others
+    found |= {name: make_group(functions) for name, functions in groups.items()}
     if words and not words[0].startswith("-") and words[0] not in found:
         raise ConfigError(f"{show_value(words[0])}: no such command{suggest_name(words[0], found)}")
     return tyro.extras.subcommand_cli_from_dict(
@@ -164,8 +162,6 @@ def _run_words(words: list[str]) -> int:
         if words == ["--version"]:
             print(f"acsar-gym {acsar_gym.__version__}")
             return 0
-        if words[:1] == ["train"]:  # has options of a script
-            return int(COMMANDS["train"].function())
         return int(parse_command(words))
     except AcsarError as error:
         print_error(f"acsar-gym: {escape_unprintable(str(error))}")

@@ -34,9 +34,17 @@ Resets = Sequence[tuple[int, Mapping[str, Any]]]
 """Seed and options of the reset of each episode."""
 MAX_LOG_BYTES = 1_000_000_000
 """Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
-POSE_KEYS = ("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "true_theta")
-TRACK_KEYS = (*POSE_KEYS, "closest_person", "time_to_collision")
-"""Keys of info that are noted at the reset and after every env step; NaN where info has none."""
+TRACK_KEYS = (
+    *("odom_x", "odom_y", "odom_theta"),
+    *("true_x", "true_y", "true_theta"),
+    *("closest_person", "time_to_collision"),
+)
+"""Keys of info that make a row of a track; NaN if info doesn't have them."""
+ODOM = slice(0, 3)
+TRUE = slice(3, 6)
+CLOSEST_PERSON = 6
+TIME_TO_COLLISION = 7
+"""Columns of a track."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +110,16 @@ class Episode:
         return self.ended - self.started
 
     @property
+    def minutes(self) -> float:
+        """Duration of the episode [min]."""
+        return self.time / 60.0
+
+    @property
+    def driven_path(self) -> float:
+        """Length of the path driven, by ground truth if it is known [m]."""
+        return self.path if math.isnan(self.driven) else self.driven
+
+    @property
     def spl(self) -> float:
         """Success weighted by path length, 0 to 1: success * shortest / max(driven, shortest)."""
         return float(self.success) * self._path_share
@@ -116,18 +134,18 @@ class Episode:
         """The shortest path as a share of the one driven, at most 1."""
         if math.isnan(self.shortest):
             return math.nan
-        driven = self.path if math.isnan(self.driven) else self.driven
-        return _divide(self.shortest, max(driven, self.shortest))
+        return _divide(self.shortest, max(self.driven_path, self.shortest))
 
 
 def describe_end(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of an `Episode` that say how it ended, by the info of its last step."""
-    success, person_contact = info["is_success"] == 1.0, info.get("person_contact", math.nan)
+    """Return the fields of an `Episode` that describe its end, by the info of its last step."""
+    success = info["is_success"] == 1.0
+    person_contact = float(info.get("person_contact", math.nan))
     touched = info["true_contact"] == 1.0 and person_contact != PERSON_HIT
     return {
         "success": bool(success),
         "collision": bool(touched and not success),
-        "person_contact": float(person_contact),
+        "person_contact": person_contact,
     }
 
 
@@ -136,59 +154,102 @@ def _divide(part: float, whole: float) -> float:
     return part / whole if whole > 0.0 else 1.0
 
 
-def known_pose(poses: Sequence[float]) -> Pose:
-    """The pose by ground truth if it is known, else by odometry, of numbers named POSE_KEYS."""
-    x, y, theta = poses[:3] if math.isnan(poses[3]) else poses[3:6]
-    return float(x), float(y), float(theta)
+def known_pose(row: Sequence[float]) -> Pose:
+    """Return the pose by ground truth if it is known, else by odometry, of a row of a track."""
+    is_known = not math.isnan(row[TRUE][0])
+    x, y, theta = map(float, row[TRUE if is_known else ODOM])
+    return x, y, theta
 
 
-def measure_episode(
-    env: RobotEnv,
-    episode: RunningEpisode,
-    track: Floats,
-    info: Mapping[str, Any],
-    way: Floats | float | None,
-) -> dict[str, Any]:
-    """Compute the fields of an `Episode` that follow from poses and info.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drive:
+    """An episode that has ended, as an env or a robot of a batch leaves it."""
+
+    seed: int
+    episode: RunningEpisode
+    """With its assignment, and the state at its end."""
+    track: Floats
+    """(steps + 1, len(TRACK_KEYS)): TRACK_KEYS at the reset and after every env step."""
+    info: Mapping[str, Any]
+    """Info of the last step."""
+    way: Floats | float | None
+    """The task's shortest way from the start."""
+    total_reward: float
+    started: float
+    """Time at which the first tick began, on the link's clock [s]."""
+    ended: float
+    energy: float
+    timing: EpisodeTiming | None = None
+
+
+def measure_episode(env: RobotEnv, drive: Drive, late_share: float) -> Episode:
+    """Compute the result of an episode.
 
     Args:
-        env: with task and robot.
-        episode: with its assignment, and the state at its end.
-        track: (steps + 1, 8): TRACK_KEYS at the reset and after every env step.
-        info: of the last step.
-        way: the task's shortest way from the start.
+        env: Env of the episode, with its task and robot.
+        drive: The episode.
+        late_share: Largest share of late ticks in a valid episode.
     """
-    assignment, config = episode.assignment, env.robot.config
-    odom, true = track[:, :3], track[:, 3:6]
-    end, is_known = describe_end(info), not math.isnan(true[-1, 0])
-    first, last = known_pose(track[0]), known_pose(track[-1])
-    world, touched_person = assignment.world, end["person_contact"] > NO_HIT
+    config = env.robot.config
+    info = drive.info
+    steps = len(drive.track) - 1
+    assignment = drive.episode.assignment
+    end = describe_end(info)
+
+    # The poses by odometry and by ground truth.
+    odom = drive.track[:, ODOM]
+    true = drive.track[:, TRUE]
+    is_known = not math.isnan(true[-1, 0])
+    poses = true if is_known else odom
+
+    # The shortest paths from the start and from the end.
+    first_pose = known_pose(drive.track[0])
+    last_pose = known_pose(drive.track[-1])
+    last_way = drive.episode.shortest_path(last_pose)
+    shortest = measure_way(assignment, config, first_pose, drive.way, is_known=is_known)
+    left = measure_way(assignment, config, last_pose, last_way, is_known=is_known)
+
+    # Contacts, and how near the robot came to what stands and to who moves.
+    nearest_to_people = np.fmin.reduce(drive.track)
+    touched_person = end["person_contact"] > NO_HIT
     touched = info["true_contact"] == 1.0 and not touched_person
     clearance = math.nan
-    if world is not None and world.obstacles and is_known:
+    if assignment.world is not None and assignment.world.obstacles and is_known:
         places = np.array([to_world(assignment.start, pose) for pose in true.tolist()])
-        nearest = footprint_clearance(places, config.outline, world)
+        nearest = footprint_clearance(places, config.outline, assignment.world)
         clearance = 0.0 if touched else max(0.0, nearest)
-    return {
-        "world": None if world is None else assignment.world_key,
+
+    fault = info.get("fault_reason", "")
+    lateness = drive.timing.lateness if drive.timing else None
+    return Episode(
+        seed=drive.seed,
+        world=None if assignment.world is None else assignment.world_key,
         **end,
-        "path": path_length(odom[:, :2]),
-        "driven": path_length((true if is_known else odom)[:, :2]),
-        "shortest": measure_way(assignment, config, first, way, is_known=is_known),
-        "left": measure_way(
-            assignment, config, last, episode.shortest_path(last), is_known=is_known
-        ),
-        "turning": total_turning(odom),
-        "jerk": mean_jerk(odom, env.ticks_per_step * config.period),
-        "clearance": clearance,
-        "closest_person": 0.0 if touched_person else float(np.fmin.reduce(track[:, 6])),
-        "time_to_collision": float(np.fmin.reduce(track[:, 7])),
-        "intrusions": float(info.get("intrusions", math.nan)),
-        "odometry_error": float(info["odometry_error"]),
-        "cross_track": float(info.get("mean_cross_track_error", math.nan)),
-        "pose": tuple(odom[-1].tolist()),
-        "told": {name: float(info[name]) for name in info_names(env.task)},
-    }
+        fault=fault,
+        valid=not fault and (lateness is None or lateness.late_share <= late_share),
+        started=drive.started,
+        ended=drive.ended,
+        length=steps,
+        ticks=steps * env.ticks_per_step,
+        late_ticks=lateness.late_ticks if lateness else 0,
+        episode_return=drive.total_reward,
+        path=path_length(odom[:, :2]),
+        driven=path_length(poses[:, :2]),
+        shortest=shortest,
+        left=left,
+        turning=total_turning(odom),
+        jerk=mean_jerk(odom, env.ticks_per_step * config.period),
+        clearance=clearance,
+        closest_person=0.0 if touched_person else float(nearest_to_people[CLOSEST_PERSON]),
+        time_to_collision=float(nearest_to_people[TIME_TO_COLLISION]),
+        intrusions=float(info.get("intrusions", math.nan)),
+        energy=drive.energy,
+        odometry_error=float(info["odometry_error"]),
+        cross_track=float(info.get("mean_cross_track_error", math.nan)),
+        pose=tuple(odom[-1].tolist()),
+        told={name: float(info[name]) for name in info_names(env.task)},
+        timing=drive.timing,
+    )
 
 
 def total_turning(poses: Floats) -> float:
@@ -229,15 +290,16 @@ def measure_way(
 ) -> float:
     """Return the length of a task's way from a pose [m].
 
-    NaN where there is none, or where the surroundings aren't known, as those of a real robot.
+    NaN if there is none, or if the surroundings aren't known, as those of a real robot.
     """
     if isinstance(way, float):
         return way
     if way is None or (assignment.world is not None and not is_known):
         return math.nan
-    radius, world = footprint_radius(config), assignment.world or World()
     points = [pose[:2], *((x, y) for x, y in way.tolist())]
     places = [Region(*point_in_world(assignment.start, point)) for point in points]
+    world = assignment.world or World()
+    radius = footprint_radius(config)
     return math.fsum(
         _distance(world, radius, place, goal) for place, goal in itertools.pairwise(places)
     )
@@ -261,10 +323,13 @@ def footprint_clearance(places: Floats, outline: Outline, world: World) -> float
         The distance of the footprint's sides [m]: negative inside a circle, inf without obstacles.
     """
     corners = np.array(outline)
-    outer, centres = float(np.hypot(*corners.T).max()), point_clearance(places[:, :2], world)
-    near = places[centres <= centres.min() + outer]  # elsewhere the footprint is farther away
-    x, y, theta = near.T[..., None]
-    cos, sin = np.cos(theta), np.sin(theta)
+    outer_radius = float(np.hypot(*corners.T).max())
+    clearances = point_clearance(places[:, :2], world)
+    is_near = clearances <= clearances.min() + outer_radius  # elsewhere the robot is farther away
+
+    x, y, theta = places[is_near].T[..., None]
+    cos = np.cos(theta)
+    sin = np.sin(theta)
     ahead, left = corners.T
     placed = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
     ends = np.roll(placed, -1, axis=1)
@@ -304,17 +369,6 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
     if not poses:
         raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
     return [stamp for stamp, _ in truths], poses
-
-
-def read_person_contact(log: Path, started: float, ended: float) -> tuple[float, float]:
-    """Read when somebody was first touched between two times, and who ran into whom.
-
-    Returns:
-        The time [s], `ended` where nobody was, and `Episode.person_contact`.
-    """
-    contacts = (event for event in _read_events(log, "hit") if started < event[0] <= ended)
-    stamp, hit = next(contacts, (ended, NO_HIT))
-    return stamp, float(hit)
 
 
 def _read_events(log: Path, kind: str) -> list[tuple[float, Any]]:

@@ -4,18 +4,19 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 
 | key | content |
 |---|---|
-| `versions` | of acsar_gym, gymnasium, numpy, python, and, where they are installed, of |
-| | onnxruntime, torch, pybullet and mujoco |
-| `policy` | `file`, `sha256` of what was read from it (null where nothing was), the `function` of |
-| | a Python file (else null), the `env` that it was made for, the `differences` between the |
-| | robot and those of its training, and whether it is `privileged`: knows the simulator's truth |
+| `versions` | of acsar_gym, gymnasium, numpy, python, and, if they are installed, of onnxruntime, |
+| | torch, pybullet and mujoco |
+| `policy` | `file`, `sha256` of what was read from it, the `function` of a Python file, the `env` |
+| | that it was made for, the `differences` to its training, and whether it is `privileged`: |
+| | knows the simulator's truth |
 | `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
+| `task` | `sha256` of the source of its class and of the user's modules that it imports |
 | `robot` | `sha256` of its whole config |
 | `link` | name of the link |
 | `worlds` | `kind` ("none" on an open floor), `split` ("train", "test" or null), numbers of the |
-| | `first` and `last` world, `difficulty`, footprint `radius` [m], `sha256` of what defines them: |
-| | their contents, or, if this package generates them, all of these, its version and sources and |
-| | NumPy's version. A list of these for several sets |
+| | `first` and `last` world, `difficulty`, footprint `radius` [m], `sha256` of their contents, |
+| | or, if this package generates them, of all of these, its version and sources and NumPy's |
+| | version. A list of these for several sets |
 | `seeds` | of the `first` and `last` episode |
 | `options` | of the resets, and `in_order`, `late_share` |
 | `workers` | how many episodes ran at a time; null for one per CPU of the cluster |
@@ -31,7 +32,7 @@ import contextlib
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from typing import Any
 
@@ -40,18 +41,23 @@ import numpy as np
 
 import acsar_gym
 from acsar_gym.config.robot import hash_config
+from acsar_gym.resources import PACKAGE, hash_modules, hash_sources
 from acsar_gym.tasks.spec import to_plain
+from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 from acsar_gym.tools.policies import FilePolicy
+from acsar_gym.worlds import World
 from acsar_gym.worlds.cache import fingerprint
-from acsar_gym.worlds.mover_files import format_mover
+from acsar_gym.worlds.movers import make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.registry import BUILT_IN_KINDS
 from acsar_gym.worlds.sets import WorldSet
-from acsar_gym.worlds.world import World
 
 DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "pybullet-arm64", "mujoco")
 """Libraries that the results of episodes depend on, if they are installed."""
-HIDDEN_ARGUMENTS = ("link", "record")  # arguments of an env that say nothing about its episodes
+HIDDEN_ARGUMENTS = ("link", "record")
+"""Arguments of an env that don't change its episodes."""
+OWN_MODULES = ("acsar_gym", "abc", "builtins", "typing")
+"""Modules of classes from which a user's class may inherit."""
 
 
 def make_header(
@@ -66,14 +72,13 @@ def make_header(
     `options` are those of the resets and of the evaluation.
     """
     inner: Any = env.unwrapped
+
+    differences = [*policy.differences]
     return {
         "versions": library_versions(*DRIVING_LIBRARIES),
-        "policy": policy.about
-        | {
-            "differences": [*policy.outside, *policy.differences],
-            "privileged": policy.privileged,
-        },
+        "policy": {**policy.about, "differences": differences, "privileged": policy.privileged},
         "env": _describe_env(env),
+        "task": {"sha256": hash_source(type(inner.task))},
         "robot": {"sha256": hash_config(inner.robot.config)},
         "link": link,
         "worlds": _describe_worlds(inner.pool),
@@ -98,19 +103,55 @@ def library_versions(*libraries: str) -> dict[str, str]:
     return versions
 
 
+def hash_source(code: Any) -> str:
+    """Hash the source of a class or function and of the user's modules that it imports.
+
+    Of code of this package, all sources of the package. Empty if the module has no file, as in a
+    notebook.
+    """
+    kinds = code.__mro__ if isinstance(code, type) else (code,)
+    modules = dict.fromkeys(kind.__module__ for kind in kinds)
+    users = [name for name in modules if name.partition(".")[0] not in OWN_MODULES]
+    return hash_modules(*users) if users else hash_sources(PACKAGE)
+
+
+def hash_world(world: World) -> bytes:
+    """Hash the numbers that define a world; its path only if nothing stands or moves in it."""
+    start = world.start
+    goal = world.goal
+    theta = -10.0 if start.theta is None else start.theta
+    is_empty = not (world.obstacles or world.movers)
+    return hash_numbers(
+        [
+            world.circles,
+            world.segments,
+            (start.x, start.y, start.radius, theta),
+            (goal.x, goal.y, goal.radius),
+            world.path if world.path is not None and is_empty else (),
+            *(make_motions([world.movers]) if world.movers else ()),
+        ]
+    )
+
+
+def hash_numbers(parts: Sequence[Any]) -> bytes:
+    """Hash numbers and their shapes, rounded to micrometres.
+
+    Sums of floats differ in the last digits between machines.
+    """
+    digest = hashlib.sha256()
+    for numbers in parts:
+        rounded = np.rint(np.asarray(numbers, np.float64) * 1e6).astype("<i8")
+        digest.update(repr(rounded.shape).encode() + rounded.tobytes())
+    return digest.digest()
+
+
 def _describe_env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
     """Describe the env by its spec; values that JSON can't hold by their repr()."""
     spec = env.spec
     if spec is None:
         return {"id": None, "kwargs": {}, "max_episode_steps": None}
-    kwargs = {}
-    for name, value in spec.kwargs.items():
-        if name not in HIDDEN_ARGUMENTS:
-            kwargs[name] = value
-            try:
-                json.dumps(value, allow_nan=False)
-            except (TypeError, ValueError):
-                kwargs[name] = repr(value)
+    shown = {name: value for name, value in spec.kwargs.items() if name not in HIDDEN_ARGUMENTS}
+    kwargs = replace_nonfinite(json.loads(json.dumps(shown, default=repr)))
     return {"id": spec.id, "kwargs": kwargs, "max_episode_steps": spec.max_episode_steps}
 
 
@@ -124,7 +165,6 @@ def _describe_worlds(pool: Pool | None) -> dict[str, Any] | list[dict[str, Any]]
 
 
 def _describe_set(worlds: WorldSet, radius: float) -> dict[str, Any]:
-    """Describe a set of worlds and what defines them."""
     about = {
         "kind": worlds.kind,
         "split": worlds.split or None,
@@ -133,20 +173,8 @@ def _describe_set(worlds: WorldSet, radius: float) -> dict[str, Any]:
         "difficulty": worlds.difficulty,
         "radius": radius,
     }
-    content: list[Any] = [about, fingerprint()]
+    contents = [fingerprint()]
     if worlds.generator not in BUILT_IN_KINDS:
-        content = [_describe_world(world) for world in Pool([worlds], radius)]
-    text = json.dumps(content, sort_keys=True)
-    return about | {"sha256": hashlib.sha256(text.encode()).hexdigest()}
-
-
-def _describe_world(world: World) -> list[Any]:
-    """List what defines a world, ready for JSON."""
-    return [
-        world.circles.tolist(),
-        world.segments.tolist(),
-        repr(world.start),
-        repr(world.goal),
-        None if world.path is None else world.path.tolist(),
-        *map(format_mover, world.movers),
-    ]
+        contents = [hash_world(world).hex() for world in Pool([worlds], radius)]
+    content = json.dumps([about, *contents], sort_keys=True)
+    return about | {"sha256": hashlib.sha256(content.encode()).hexdigest()}

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,11 +19,18 @@ from acsar_gym import reading
 from acsar_gym.errors import ConfigError, escape_unprintable, explain_error
 from acsar_gym.tools import page
 from acsar_gym.tools.evaluation.episode import Episode
-from acsar_gym.tools.evaluation.metrics import EPISODE_ENDS, TOLD_PREFIX, Summary
+from acsar_gym.tools.evaluation.metrics import EPISODE_ENDS, FIGURES, TOLD_PREFIX, Summary
 
 Item = TypeVar("Item")
 ODOMETRY_ALARM = 0.15
 """Mean odometry error above which a table warns [m]; the default tolerance of a goal."""
+PIPED_WIDTH = 160
+"""Columns of output that isn't a terminal: enough for all tables."""
+PEOPLE_NOTE = (
+    "A robot that somebody ran into is struck: no success, and no collision of its own. Distances "
+    "are from hull to hull. Distances and times until both would have touched are the least of an "
+    "episode. An intrusion is to come within 0.45 m of somebody."
+)
 
 
 class SafeConsole(Console):
@@ -35,9 +41,10 @@ class SafeConsole(Console):
     ) -> Iterable[Segment]:
         """Render with control characters escaped, as they are in source code."""
         for text, style, control in super().render(renderable, options):
-            if not (control or text.isprintable()):  # line breaks are kept
-                text = "\n".join(map(escape_unprintable, text.split("\n")))  # noqa: PLW2901
-            yield Segment(text, style, control)
+            if control or text.isprintable():
+                yield Segment(text, style, control)
+            else:  # line breaks are kept
+                yield Segment("\n".join(map(escape_unprintable, text.split("\n"))), style, control)
 
     def on_broken_pipe(self) -> None:
         """Leave the exit code to `streams.run_guarded`."""
@@ -50,10 +57,10 @@ def escape_text(text: str) -> str:
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables; piped output is wide enough for all columns, unless COLUMNS says otherwise."""
+    """Print tables; piped output is wide enough for all columns, unless COLUMNS is set."""
     console = SafeConsole()
     if not console.is_terminal and not os.environ.get("COLUMNS", "").strip("0").isdecimal():
-        console = SafeConsole(width=160)
+        console = SafeConsole(width=PIPED_WIDTH)
     for table in tables:
         console.print(table)
 
@@ -90,35 +97,71 @@ def write_json(path: Path | None, data: Mapping[str, Any], *, indent: int | None
     )
 
 
-def fill_columns(
-    rows: Sequence[Item], columns: Mapping[str, Callable[[Item], str]]
-) -> dict[str, list[str]]:
-    """Format rows as columns of cells by name; columns without any value are left out."""
-    cells = {name: [cell(row) for row in rows] for name, cell in columns.items()}
-    return {name: [c or "-" for c in column] for name, column in cells.items() if any(column)}
+def make_table(title: str, rows: Sequence[Mapping[str, str]], texts: Iterable[str] = ()) -> Table:
+    """Format rows of cells by column; columns without any value are left out.
 
-
-def _fill_rows(
-    rows: Sequence[tuple[str, Summary]], columns: Mapping[str, Callable[[Summary], str]]
-) -> dict[str, list[str]]:
-    cells = fill_columns([summary for _, summary in rows], columns)
-    return {"behind the wire": [link for link, _ in rows], **cells}
-
-
-def _make_table(title: str, cells: Mapping[str, Sequence[str]]) -> Table:
+    Args:
+        title: Title of the table.
+        rows: Cells by name of the column.
+        texts: Names of the columns that are aligned left; by default the first one.
+    """
     table = Table(title=escape_text(title), title_justify="left")
-    for name in cells:
-        table.add_column(name, justify="right" if table.columns else "left")
-    for row in zip(*cells.values(), strict=True):
-        table.add_row(*map(escape_text, row))
+    names = dict.fromkeys(name for row in rows for name in row)
+    shown = [name for name in names if any(row.get(name) for row in rows)]
+    text_columns = {*texts} or {*shown[:1]}
+    for name in shown:
+        table.add_column(escape_text(name), justify="left" if name in text_columns else "right")
+    for row in rows:
+        table.add_row(*(escape_text(row.get(name) or "-") for name in shown))
     return table
+
+
+def format_figure(name: str, value: float) -> str:
+    """Format a mean with its unit, for a table; empty for NaN and for a rate of 0."""
+    figure = FIGURES[name]
+    is_rate = figure.unit == "%"
+    text = figure.format(value)
+    if not text or (is_rate and value == 0.0):
+        return ""
+    return f"{text}%" if is_rate else f"{text} {figure.unit}".strip()
+
+
+def figure_cells(summary: Summary, table: str) -> dict[str, str]:
+    """Return the cells of the figures of a table."""
+    return {
+        figure.title: format_figure(name, getattr(summary, name))
+        for name, figure in FIGURES.items()
+        if figure.table == table
+    }
+
+
+def summary_cells(summary: Summary) -> dict[str, str]:
+    """Return the cells of a summary's row in the main table."""
+    hits = round(summary.success_rate * summary.episodes)
+    cells = figure_cells(summary, "main")
+    cells["success"] = f"{hits}/{summary.episodes} ({summary.success_rate:.1%})"
+    if "barn_score" in summary.told:
+        cells["BARN score"] = f"{summary.told['barn_score']:.3f}"
+
+    lateness = f"{summary.late_ticks} of {summary.ticks}"
+    if not math.isnan(summary.worst_lateness):
+        lateness += f", {summary.worst_lateness * 1e3:.2f} ms"
+    cells["late ticks"] = lateness
+    if summary.round_trips:
+        median = f"{summary.round_trip * 1e3:.0f} ms"
+        longest = f"{summary.round_trip_p95 * 1e3:.0f} ms"
+        cells["round trip"] = f"{median}, 95 % {longest}, of {summary.round_trips}"
+    cells["invalid"] = f"{summary.invalid}" if summary.invalid else ""
+    return cells
 
 
 def summary_table(
     title: str, rows: Sequence[tuple[str, Summary]], notes: Sequence[str] = ()
 ) -> Table:
     """Format the summary of the runs on each link as a table, with lines below it."""
-    table = _make_table(title, _fill_rows(rows, SUMMARY_COLUMNS))
+    links = [{"behind the wire": link, **summary_cells(summary)} for link, summary in rows]
+    table = make_table(title, links)
+
     errors = [s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)]
     worst = max(errors, default=0.0)
     captions = [escape_text(note) for note in notes]
@@ -129,59 +172,60 @@ def summary_table(
         )
     if any(summary.invalid for _, summary in rows):
         captions.append(
-            "Invalid: ended by a fault, or with too many late ticks; --json tells each."
+            "Invalid: ended by a fault, or with too many late ticks; --json names the episodes."
         )
     table.caption = "\n".join(captions) or None
     return table
 
 
 def people_table(rows: Sequence[tuple[str, Summary]]) -> Table:
-    """Format what the runs on each link tell about those who move as a table."""
-    return _make_table("among people", _fill_rows(rows, PEOPLE_COLUMNS))
+    """Format what the runs on each link have about those who move as a table."""
+    links = [{"behind the wire": link, **figure_cells(summary, "people")} for link, summary in rows]
+    return make_table("among people", links)
 
 
 def write_evaluation_page(
-    path: Path, title: str, link: str, summary: Summary, episodes: Sequence[Episode]
+    path: Path, title: str, summary: Summary, episodes: Sequence[Episode]
 ) -> None:
     """Write an evaluation as an HTML page; see `page.write_page`."""
     page.check_report_extra()
     from plotly import graph_objects  # noqa: PLC0415 - optional
 
-    told = {f"{TOLD_PREFIX}{name}": value for name, value in summary.told.items()}
-    values = {**asdict(summary), **told}
-    intervals = [
-        [name, *(f"{number:.4g}" for number in (values[name], *interval))]
-        for name, interval in summary.intervals.items()
-        if math.isfinite(values[name])
-    ]
-    figure = graph_objects.Figure(
+    rows = []
+    for name, interval in summary.intervals.items():
+        figure = FIGURES.get(name)
+        if figure is not None:
+            values = [figure.format(value) for value in (getattr(summary, name), *interval)]
+            rows.append([figure.heading, *values])
+        else:
+            short = name.removeprefix(TOLD_PREFIX)
+            rows.append([short, *(f"{value:.4g}" for value in (summary.told[short], *interval))])
+    rows = [row for row in rows if row[1] not in ("", "nan")]
+    ends = graph_objects.Figure(
         layout={"xaxis_title": "seed", "yaxis_title": "duration [s]", "template": "plotly_white"}
     )
-    for name, is_ended_so in EPISODE_ENDS.items():
-        chosen = [episode for episode in episodes if is_ended_so(episode)]
-        figure.add_scatter(
+    for end in EPISODE_ENDS.values():
+        chosen = [episode for episode in episodes if end.of(episode)]
+        ends.add_scatter(
             x=[episode.seed for episode in chosen],
             y=[episode.time for episode in chosen],
             mode="markers",
-            name=name.removesuffix("_rate"),
+            name=end.title,
         )
-    parts = [("Means", "", SUMMARY_COLUMNS)]
-    if not math.isnan(summary.closest_person):
-        parts.append(("Among people", PEOPLE_NOTE, PEOPLE_COLUMNS))
-    sections = []
-    for heading, note, columns in parts:
-        cells = _fill_rows([(link, summary)], columns)
-        table = page.Table(list(cells), [*zip(*cells.values(), strict=True)])
-        sections.append(page.Section(heading, note, table))
-    sections += [
-        page.Section(
-            "95 % intervals",
-            "Wilson's of rates, bootstrapped ones of means.",
-            page.Table(("figure", "value", "low", "high"), intervals),
-        ),
-        page.Section("Episodes", figures=[figure]),
-    ]
-    page.write_page(path, title, sections)
+    note = "Wilson's intervals of rates, bootstrapped intervals of means."
+    is_among_people = not math.isnan(summary.closest_person)
+    page.write_page(
+        path,
+        title,
+        [
+            page.Section(
+                "Means and their 95 % intervals",
+                f"{note}\n{PEOPLE_NOTE}" if is_among_people else note,
+                page.Table(("figure", "mean", "low", "high"), rows),
+            ),
+            page.Section("Episodes", figures=[ends]),
+        ],
+    )
 
 
 def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
@@ -190,68 +234,6 @@ def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
     table.add_column()
     table.add_column(overflow="fold")
     for name, value in rows:
-        table.add_row(
-            escape_text(name), escape("".join(c if c.isprintable() else "?" for c in value))
-        )
+        printable = "".join(c if c.isprintable() else "?" for c in value)
+        table.add_row(escape_text(name), escape(printable))
     return table
-
-
-def _format_rate(share: float) -> str:
-    return f"{share:.1%}" if share > 0.0 else ""
-
-
-def _format_number(value: float, unit: str = "") -> str:
-    return "" if math.isnan(value) else f"{value:.2f} {unit}".strip()
-
-
-def _format_late(summary: Summary) -> str:
-    """Format the number of late ticks and the largest lateness."""
-    worst = _format_number(summary.worst_lateness * 1000.0, "ms")
-    return f"{summary.late_ticks} of {summary.ticks}" + (f", {worst}" if worst else "")
-
-
-def _format_round_trip(summary: Summary) -> str:
-    """Format median, 95th percentile and number of round trips."""
-    if not summary.round_trips:
-        return ""
-    median, longest = 1e3 * summary.round_trip, 1e3 * summary.round_trip_p95
-    return f"{median:.0f} ms, 95 % {longest:.0f} ms, of {summary.round_trips}"
-
-
-SUMMARY_COLUMNS: dict[str, Callable[[Summary], str]] = {
-    "success": lambda summary: (
-        f"{round(summary.success_rate * summary.episodes)}/{summary.episodes} "
-        f"({summary.success_rate:.1%})"
-    ),
-    "collision": lambda summary: _format_rate(summary.collision_rate),
-    "struck": lambda summary: _format_rate(summary.struck_rate),
-    "time-out": lambda summary: _format_rate(summary.timeout_rate),
-    "fault": lambda summary: _format_rate(summary.fault_rate),
-    "SPL": lambda summary: _format_number(summary.spl),
-    "BARN score": lambda summary: (
-        f"{summary.told['barn_score']:.3f}" if "barn_score" in summary.told else ""
-    ),
-    "time to goal": lambda summary: _format_number(summary.time_to_goal, "s"),
-    "path": lambda summary: _format_number(summary.path, "m"),
-    "clearance": lambda summary: _format_number(summary.clearance * 100.0, "cm"),
-    "energy": lambda summary: _format_number(summary.energy, "J"),
-    "beside path": lambda summary: _format_number(summary.cross_track * 100.0, "cm"),
-    "odometry error": lambda summary: _format_number(summary.odometry_error * 100.0, "cm"),
-    "late ticks": _format_late,
-    "round trip": _format_round_trip,
-    "invalid": lambda summary: f"{summary.invalid}" if summary.invalid else "",
-}
-"""Functions that format the cells of each column; empty text means no value."""
-PEOPLE_COLUMNS: dict[str, Callable[[Summary], str]] = {
-    "ran into people": lambda summary: _format_rate(summary.person_collision_rate),
-    "struck by people": lambda summary: _format_rate(summary.struck_rate),
-    "closest person": lambda summary: _format_number(summary.closest_person * 100.0, "cm"),
-    "time to collision": lambda summary: _format_number(summary.time_to_collision, "s"),
-    "intrusions": lambda summary: _format_number(summary.intrusion_rate, "a minute"),
-}
-"""The same of what is told where somebody moves."""
-PEOPLE_NOTE = (
-    "Whoever moved into the other ran into them: a robot that was struck is no success, and no "
-    "collision. Distances from hull to hull, and times until both would have touched, are the "
-    "least of an episode. An intrusion is to come within 0.45 m of somebody."
-)

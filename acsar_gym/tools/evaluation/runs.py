@@ -1,24 +1,20 @@
-"""Loads policies, makes their envs, and evaluates them: `evaluate`, `run` and `export`."""
+"""Loads policies, makes their envs, and evaluates them: `evaluate` and `run`."""
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import math
-import tempfile
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 
-from acsar_gym import reading
 from acsar_gym.config import RobotConfig, RobotSource
-from acsar_gym.envs.ids import find_id, strip_module
+from acsar_gym.envs.ids import find_id
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import (
     AcsarError,
@@ -37,9 +33,9 @@ from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import baselines
 from acsar_gym.tools.evaluation import episodes, metrics, provenance, report
-from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.episode import Episode, Resets
 from acsar_gym.tools.evaluation.metrics import Summary
-from acsar_gym.tools.jobs import completed
+from acsar_gym.tools.jobs import run_jobs
 from acsar_gym.tools.policies import (
     CallablePolicy,
     FilePolicy,
@@ -47,29 +43,33 @@ from acsar_gym.tools.policies import (
     ZipPolicy,
     is_callable,
     resolve,
-    statistics_beside,
 )
-from acsar_gym.tools.policies.bundle import RETRAIN_HINT, describe_policy, env_policy_rate
+from acsar_gym.tools.policies.document import RETRAIN_HINT, env_policy_rate
 from acsar_gym.tools.policies.policy import PolicyContext
 from acsar_gym.worlds import registry
-from acsar_gym.worlds.search import lidar_height
-from acsar_gym.worlds.sets import name_alone, parse_sets
+from acsar_gym.worlds.sets import name_alone
 
 Env = gymnasium.Env[Any, Any]
-MAX_EPISODES = 10**6  # most episodes of one evaluation; all results are kept in memory
-SEED_LIMIT = 2**63  # the first seed must be below this
-MAX_POLICY_BYTES = 200_000_000
-MAX_SHARD_EPISODES, MAX_BATCHED_EPISODES = 10, 250
-"""Most episodes of a shard: driven one by one, and as a batch."""
-SHARDS_PER_WORKER = 4  # shards per worker, at least, so that workers finish at about the same time
+MAX_EPISODES = 10**6
+"""Most episodes of one evaluation: all results are kept in memory."""
+SEED_LIMIT = 2**63
+"""The first seed must be below this."""
+MAX_PART_EPISODES = 10
+"""Most episodes of a job that are driven one by one."""
+MAX_BATCHED_EPISODES = 250
+"""Most episodes of a job that are driven as a batch."""
+PARTS_PER_WORKER = 4
+"""Jobs of each worker, at least, so that workers finish at about the same time."""
 
 
 @dataclass(frozen=True)
 class EvaluationRun:
     """Results of an evaluation, complete or ended early, and what it was run with."""
 
-    header: dict[str, Any]  # what is needed to repeat it; see `provenance`
-    worlds: str  # description of the worlds, such as "clutter 0 to 199 (test split)" or "none"
+    header: dict[str, Any]
+    """What is needed to repeat it, see `provenance`."""
+    worlds: str
+    """Description of the worlds, such as "clutter 0 to 199 (test split)" or "none"."""
     results: list[Episode]
     ended: LinkError | KeyboardInterrupt | None = None
     """What ended it before its last episode; None for an evaluation that is complete."""
@@ -131,14 +131,14 @@ def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
         env: id or short name of the env that it is for; by default the one that the file names.
 
     Raises:
-        PolicyError: there is no such policy, or it is a zip without `trust`, or a zip beside a
-            saved VecNormalize, which must be converted with `export` first.
+        PolicyError: there is no such policy, or it is a zip without `trust`.
         ConfigError: there is no such `env`.
     """
     env_id = find_id(env) if env else ""
     if isinstance(policy, FilePolicy):
         if env_id:
-            policy.env_id, policy.env_named = env_id, True
+            policy.env_id = env_id
+            policy.env_named = True
         if not policy.path.is_file():
             policy.given = policy
         return policy
@@ -146,13 +146,13 @@ def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
         return CallablePolicy(policy, env_id)
     if baselines.is_baseline(policy):
         return baselines.load_baseline(policy, env_id)
+
     path = resolve(policy, baselines.BASELINES)
     if path.suffix == ".zip":
-        loaded = ZipPolicy(path, trust=trust, env_id=env_id)
-        _find_statistics(loaded, None)
-        return loaded
+        return ZipPolicy(path, trust=trust, env_id=env_id)
     file = OnnxPolicy(path)
-    file.env_id, file.env_named = env_id or file.env_id, bool(env_id)
+    file.env_id = env_id or file.env_id
+    file.env_named = bool(env_id)
     return file
 
 
@@ -173,29 +173,30 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
         ConfigError: the env doesn't have one of the arguments.
     """
     env_id = _check_id(policy)
-    given = {name: value for name, value in options.items() if value is not None}
-    given = {"link": link, "robot": robot, **given}
-    if "worlds" in given:
-        given["worlds"] = name_alone(given["worlds"], registry.TEST)
+    kwargs: dict[str, Any] = {"link": link, "robot": robot}
+    kwargs |= {name: value for name, value in options.items() if value is not None}
+    if "worlds" in kwargs:
+        kwargs["worlds"] = name_alone(kwargs["worlds"], registry.TEST)
     try:
-        env = gymnasium.make(env_id, **given)
+        env = gymnasium.make(env_id, **kwargs)
         pool = getattr(env.unwrapped, "pool", None)
-        if "worlds" not in given and pool is not None and pool.split == registry.TRAIN:
+        if "worlds" not in kwargs and pool is not None and pool.split == registry.TRAIN:
             env.close()
             tested = [f"{group.generator}:{registry.TEST}" for group in pool.sets]
-            env = gymnasium.make(env_id, **given, worlds=tested if tested[1:] else tested[0])
+            env = gymnasium.make(env_id, **kwargs, worlds=tested if tested[1:] else tested[0])
     except (gymnasium.error.Error, ImportError) as error:
         raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from error
     except TypeError as error:
-        names = ", ".join(given)
+        names = ", ".join(kwargs)
         raise ConfigError(
             f"{env_id} doesn't take all of: {names} ({format_error(error)})"
         ) from error
+
     inner = env.unwrapped
     try:
         if isinstance(inner, RobotEnv):
             policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
-            if inner.robot.link.truth is None:  # on hardware
+            if inner.robot.link.is_real:
                 refuse_outside(policy)
             policy.bind(PolicyContext.of(inner))
             if policy.privileged:
@@ -212,8 +213,10 @@ def _check_id(policy: FilePolicy) -> str:
     if not env_id:
         raise PolicyError(
             f"{policy.path}: doesn't say which environment it is for: convert it with "
-            f"'acsar-gym export {policy.path} policy.onnx --trust --env point_goal' or another env"
+            f"'acsar-gym policy {policy.path} --out policy.onnx --trust --env point_goal' or "
+            "another env"
         )
+
     if not policy.env_named and not env_id.startswith("acsar_gym/"):
         raise PolicyError(
             f"{policy.path}: made for {env_id}, which isn't acsar_gym's: if you trust that "
@@ -235,85 +238,60 @@ def seed_range(first: int, count: int) -> range:
 
 
 @dataclass(frozen=True)
-class PortablePolicy:
-    """A loaded policy, ready to be loaded again in other processes and on other machines."""
+class SentPolicy:
+    """A policy on its way to another process: itself, or the name of Python code to load there."""
 
-    name: str  # its path or name
-    env: str  # id of the env that it was loaded for; empty for the one that its file names
-    function: str | None = field(repr=False)
-    trust: bool = field(repr=False)
-    content: bytes | None = field(repr=False)
-    """Content of its file; None for a policy that isn't a file."""
-    given: Any = field(default=None, repr=False, compare=False)
-    """The policy itself, if it is an object in Python."""
+    policy: FilePolicy | str
+    env: str = ""
+    sha256: str | None = None
 
     @classmethod
-    def of(cls, policy: FilePolicy) -> PortablePolicy:
-        """Read the file of a policy; a zip that is loaded already is trusted.
-
-        Raises:
-            PolicyError: its file has changed since it was loaded.
-        """
-        content = None
-        if policy.path.is_file():
-            content = reading.read_file(policy.path, MAX_POLICY_BYTES, PolicyError)
-            if policy.sha256 not in (None, hashlib.sha256(content).hexdigest()):
-                raise PolicyError(f"{policy.path}: changed since it was loaded: start again")
-        return cls(
-            str(policy.path),
-            policy.env_id if policy.env_named else "",
-            policy.function,
-            isinstance(policy, ZipPolicy),
-            content,
-            None if policy.given is None else policy,
-        )
+    def of(cls, policy: FilePolicy) -> SentPolicy:
+        """Return how a policy is sent: code by its name, others with their bytes."""
+        if policy.given is not None or not isinstance(policy, CallablePolicy):
+            return cls(policy)
+        name = f"{policy.path}:{policy.function}" if policy.function else str(policy.path)
+        return cls(name, policy.env_id, policy.sha256)
 
     def load(self) -> FilePolicy:
-        """Load the policy: from its file if that is the same here, else from the content.
-
-        Raises:
-            PolicyError: it can't be loaded here.
-        """
-        return _load_portable(self) if self.given is None else self.given
+        """Return the policy; PolicyError if its file has changed since it was loaded first."""
+        return self.policy if isinstance(self.policy, FilePolicy) else _load_code(self)
 
 
 @lru_cache(maxsize=4)
-def _load_portable(sent: PortablePolicy) -> FilePolicy:
-    """Load a policy; a process needs few of them, but each for many jobs."""
-    suffix = f":{sent.function}" if sent.function else ""
-    here = None
-    with contextlib.suppress(OSError):
-        here = None if sent.content is None else Path(sent.name).read_bytes()
-    if here == sent.content:
-        return load_policy(f"{sent.name}{suffix}", trust=sent.trust, env=sent.env)
-    with tempfile.TemporaryDirectory(prefix="acsar_gym-") as folder:
-        sent_file = Path(folder) / Path(sent.name).name
-        sent_file.write_bytes(sent.content or b"")
-        return load_policy(f"{sent_file}{suffix}", trust=sent.trust, env=sent.env)
+def _load_code(sent: SentPolicy) -> FilePolicy:
+    """Load code once in a process, for many jobs."""
+    policy = load_policy(sent.policy, trust=False, env=sent.env)
+    if policy.sha256 != sent.sha256:
+        raise PolicyError(f"{policy.path}: changed since it was loaded: start again")
+    return policy
 
 
 @dataclass(frozen=True)
-class Shard:
-    """Consecutive episodes of an evaluation, for one process."""
+class EpisodeJob:
+    """Episodes of a policy, for one process."""
 
-    policy: PortablePolicy
+    policy: SentPolicy
     link: str
     robot: RobotConfig = field(repr=False)
-    seeds: range
-    skip: int  # episodes of the evaluation before these
-    how: Mapping[str, Any] = field(repr=False)
     options: Mapping[str, Any] = field(repr=False)
+    """Other arguments of the env."""
+    resets: Resets
+    late_share: float = episodes.MAX_LATE_SHARE
+
+    def make_env(self) -> Env:
+        """Make the env of the episodes, and check that the policy fits; see `make_env`."""
+        return make_env(self.policy.load(), self.link, self.robot, self.options)
+
+    def drive(self, env: Env) -> Generator[Episode, None, None]:
+        """Drive the episodes, and yield each."""
+        return episodes.run_resets(env, self.policy.load(), self.resets, self.late_share)
 
 
-def run_shard(shard: Shard) -> list[Episode]:
-    """Run the episodes of a shard."""
-    policy, seeds = shard.policy.load(), shard.seeds
-    with contextlib.closing(make_env(policy, shard.link, shard.robot, shard.options)) as env:
-        return list(
-            episodes.run_episodes(
-                env, policy, len(seeds), seeds.start, skip=shard.skip, **shard.how
-            )
-        )
+def run_job(job: EpisodeJob) -> list[Episode]:
+    """Run the episodes of a job."""
+    with contextlib.closing(job.make_env()) as env:
+        return list(job.drive(env))
 
 
 def evaluate_policy(
@@ -322,7 +300,8 @@ def evaluate_policy(
     robot: RobotSource,
     seeds: range,
     *,
-    how: Mapping[str, Any] | None = None,
+    in_order: bool = False,
+    late_share: float = episodes.MAX_LATE_SHARE,
     workers: int | None = None,
     address: str | None = None,
     **options: Any,
@@ -330,61 +309,50 @@ def evaluate_policy(
     """Evaluate a policy in worlds of the test split, with a progress bar; closes the link.
 
     An emergency stop, an interrupt, and a link that can't be opened again end it after an episode;
-    the finished episodes are kept. An episode depends on its seed alone, so in several processes
-    the results are those of one.
+    the finished episodes are kept. An episode depends on its seed alone, so the results in several
+    processes are those of one.
 
     Args:
-        policy: the policy.
-        link: name of the link; more than one worker need a simulated one.
-        robot: preset, file or config of the robot; None for the default.
-        seeds: seeds of the episodes.
-        how: keyword arguments of `episodes.run_episodes`.
-        workers: as for `jobs.completed`.
-        address: as for `jobs.completed`.
-        **options: other arguments of the env.
+        policy: The policy.
+        link: Name of the link; more than one worker need a simulated robot.
+        robot: Preset, file or config of the robot; None for the default.
+        seeds: Seeds of the episodes.
+        in_order: Use the env's worlds one after the other, instead of random ones.
+        late_share: Largest share of late ticks in a valid episode, 0 to 1.
+        workers: As for `jobs.run_jobs`.
+        address: As for `jobs.run_jobs`.
+        **options: Other arguments of the env.
     """
     with require_extra("an evaluation", "scipy"):  # before the first episode, not after the last
         import scipy  # noqa: F401, PLC0415
-    how = how or {}
-    if address is None and workers in (None, 1):
-        compile_ahead(policy, link, RobotConfig.of(robot))
-        env = make_env(policy, link, robot, options)
-        running = episodes.run_episodes(env, policy, len(seeds), seeds.start, **how)
+    config = RobotConfig.of(robot)
+    is_parallel = address is not None or workers not in (None, 1)
+    if is_parallel:
+        _check_parallel(link, options)
     else:
-        shards = _split_evaluation(policy, link, robot, seeds, how, workers, options)
-        env = make_env(policy, link, robot, options)
-        running = _run_shards(shards, workers, address)
+        compile_ahead(policy, link, config)
+    sent = SentPolicy.of(policy)
+    env = make_env(policy, link, robot, options)
+    resets = episodes.plan_resets(env, seeds, in_order=in_order)
     _warn_differences(policy)
+
+    if is_parallel:
+        job = EpisodeJob(sent, link, config, options, resets=resets, late_share=late_share)
+        running = _run_in_parallel(job, choose_part_size(job, workers), workers, address)
+    else:
+        running = episodes.run_resets(env, policy, resets, late_share)
     with contextlib.closing(running):
-        watched = report.watch_progress(
-            f"episodes, {report.escape_text(link)}", running, len(seeds)
-        )
-        done = _collect_run(env, policy, link, seeds, how, watched)
+        title = f"episodes, {report.escape_text(link)}"
+        watched = report.watch_progress(title, running, len(seeds))
+        about = {"in_order": in_order, "late_share": late_share}
+        done = _collect_run(watched, env, policy, link, seeds=seeds, about=about)
     done.results.sort(key=lambda episode: seeds.index(episode.seed or 0))
     done.header.update(workers=workers if address else workers or 1, address=address)
     return done
 
 
-def _run_shards(
-    shards: list[Shard], workers: int | None, address: str | None
-) -> Generator[Episode, None, None]:
-    """Yield the episodes of shards that run in parallel."""
-    finished = completed(run_shard, shards, workers=workers, address=address)
-    with contextlib.closing(finished):
-        for _, driven in finished:
-            yield from driven
-
-
-def _split_evaluation(
-    policy: FilePolicy,
-    link: str,
-    robot: RobotSource,
-    seeds: range,
-    how: Mapping[str, Any],
-    workers: int | None,
-    options: Mapping[str, Any],
-) -> list[Shard]:
-    """Split an evaluation into shards."""
+def _check_parallel(link: str, options: Mapping[str, Any]) -> None:
+    """Raise ConfigError if an evaluation needs a single process."""
     if link not in BODIES:
         raise ConfigError(
             f"--link {show_value(link)}: one process drives one robot: --workers and --address "
@@ -392,20 +360,25 @@ def _split_evaluation(
         )
     if options.get("record") is not None:
         raise ConfigError("--record: one process records: leave out --workers")
-    portable, config, source = dict(options), RobotConfig.of(robot), options.get("worlds")
-    if source is not None:
-        sets = parse_sets(source, alone=registry.TEST, height=lidar_height(config))
-        if any(group.worlds for group in sets):  # from files, which another machine may not have
-            portable["worlds"] = sets
-    batched = link == "planar" and policy.act_many is not None
-    most = MAX_BATCHED_EPISODES if batched else MAX_SHARD_EPISODES
-    size = len(seeds) // (SHARDS_PER_WORKER * workers) if workers else most
-    size = max(1, min(most, size))
-    parts = [seeds[first : first + size] for first in range(0, len(seeds), size)]
-    sent = PortablePolicy.of(policy)
-    return [
-        Shard(sent, link, config, part, part.start - seeds.start, how, portable) for part in parts
-    ]
+
+
+def choose_part_size(job: EpisodeJob, workers: int | None) -> int:
+    """Return how many episodes a process drives at a time: workers then end about together."""
+    is_batched = job.link == "planar" and job.policy.load().act_many is not None
+    limit = MAX_BATCHED_EPISODES if is_batched else MAX_PART_EPISODES
+    size = len(job.resets) // (PARTS_PER_WORKER * workers) if workers else limit
+    return max(1, min(limit, size))
+
+
+def _run_in_parallel(
+    whole: EpisodeJob, size: int, workers: int | None, address: str | None
+) -> Generator[Episode, None, None]:
+    """Yield the episodes of a job, `size` at a time in a process."""
+    firsts = range(0, len(whole.resets), size)
+    parts = [replace(whole, resets=whole.resets[first : first + size]) for first in firsts]
+    with contextlib.closing(run_jobs(run_job, parts, workers, address)) as finished:
+        for _, results in finished:
+            yield from results
 
 
 def drive_to_goal(
@@ -413,23 +386,33 @@ def drive_to_goal(
     link: str,
     robot: str | None,
     goal: tuple[float, float],
+    *,
     ready: Callable[[], object] = lambda: None,
-    how: Mapping[str, Any] = {},
+    late_share: float = episodes.MAX_LATE_SHARE,
     **options: Any,
 ) -> EvaluationRun:
     """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as `evaluate_policy`.
 
-    `ready` is called before anything moves, when all that can be known of the policy is told. With
-    `goal_distance`, goals may be nearer or farther than those of the training; the time limit grows
-    with the distance.
+    `ready` is called before anything moves, after everything that is known about the policy has
+    been printed. With `goal_distance`, goals may be nearer or farther than those of the training,
+    and the time limit grows with the distance.
     """
 
     def drive(env: Env) -> Iterator[Episode]:
         ready()
-        return episodes.run_episodes(env, policy, 1, seed=0, goal=goal, **how)
+        return episodes.run_episodes(env, policy, 1, seed=0, goal=goal, late_share=late_share)
 
-    about, farthest = {"goal": goal, **how}, math.hypot(*goal)
-    return drive_to_goals(policy, link, robot, drive, farthest, about, range(1), **options)
+    about = {"goal": goal, "late_share": late_share}
+    return drive_to_goals(
+        policy,
+        link,
+        robot,
+        drive=drive,
+        farthest=math.hypot(*goal),
+        about=about,
+        seeds=range(1),
+        **options,
+    )
 
 
 def compile_ahead(policy: FilePolicy, link: str, config: RobotConfig) -> None:
@@ -457,15 +440,15 @@ def drive_to_goals(
     """Run the episodes that `drive` yields with an env of a policy; closes the link.
 
     Args:
-        policy: the policy; refused where it isn't for this robot.
-        link: name of the link.
-        robot: preset, file or config of the robot; None for the default.
-        drive: makes the episodes.
-        farthest: distance of the farthest goal [m]; where there is `goal_distance`, the time limit
-            grows with it.
-        about: what the header tells about the episodes.
-        seeds: of the episodes; None: they count up from 0.
-        **options: other arguments of the env.
+        policy: The policy; refused on a real robot of another size or speed.
+        link: Name of the link.
+        robot: Preset, file or config of the robot; None for the default.
+        drive: Makes the episodes.
+        farthest: Distance of the farthest goal [m]; with `goal_distance`, the time limit grows
+            with it.
+        about: What the header contains about the episodes.
+        seeds: Seeds of the episodes; None if they count up from 0.
+        **options: Other arguments of the env.
     """
     if options.get("goal_distance") is not None and policy.scale:
         options["distance_scale"] = policy.scale
@@ -477,30 +460,33 @@ def drive_to_goals(
     compile_ahead(policy, link, config)
     env = make_env(policy, open_link(link, config), config, options)
     with contextlib.closing(env):
-        refuse_outside(policy)
         _warn_differences(policy)
-        return _collect_run(env, policy, link, seeds, about, drive(env))
+        return _collect_run(drive(env), env, policy, link, seeds=seeds, about=about)
 
 
 def _warn_differences(policy: FilePolicy) -> None:
-    """Issue an AcsarWarning for each way in which the robot differs from those of the training."""
-    for line in (*policy.outside, *policy.differences):
+    """Issue an AcsarWarning for each way in which task and robot differ from the training."""
+    for line in policy.differences:
         warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=3)
 
 
 def refuse_outside(policy: FilePolicy) -> None:
-    """Raise PolicyError where the robot isn't one of those that the policy is for."""
-    if policy.outside:
-        raise PolicyError(f"{policy.path}: {'; '.join(policy.outside)}: {RETRAIN_HINT}")
+    """Raise PolicyError if the robot has another size or speed than those of the training."""
+    if policy.outside and not policy.anyway:
+        raise PolicyError(
+            f"{policy.path}: this robot's {', its '.join(policy.outside)} in the training: "
+            f"{RETRAIN_HINT}, or drive all the same with --anyway"
+        )
 
 
 def _collect_run(
+    running: Iterable[Episode],
     env: Env,
     policy: FilePolicy,
     link: str,
+    *,
     seeds: range | None,
-    options: Mapping[str, Any],
-    running: Iterable[Episode],
+    about: Mapping[str, Any],
 ) -> EvaluationRun:
     """Collect episodes, with what ended them early, and the header; closes the env.
 
@@ -520,9 +506,10 @@ def _collect_run(
         ended = error
     finally:
         env.close()  # before the files are hashed
+
     inner: Any = env.unwrapped
     seeds = range(max(len(driven), 1)) if seeds is None else seeds
-    header = provenance.make_header(env, policy, link, seeds, options)
+    header = provenance.make_header(env, policy, link, seeds, about)
     return EvaluationRun(header, describe_worlds(inner), driven, ended)
 
 
@@ -531,60 +518,3 @@ def describe_worlds(env: RobotEnv) -> str:
     link = env.robot.link
     is_placed = not link.is_real or (link.ros is not None and link.ros.is_simulated)
     return str(env.pool) if env.pool is not None and is_placed else "none"
-
-
-def export_policy(
-    model: Path,
-    out: Path,
-    env_id: str,
-    robot: str | None,
-    *,
-    trust: bool,
-    vecnormalize: str | None = None,
-) -> None:
-    """Convert a stable-baselines3 zip to an ONNX policy."""
-    if resolve(model).suffix == ".onnx":
-        raise PolicyError(
-            f"{model}: is an ONNX policy already: drive with it, as in 'acsar-gym evaluate "
-            f"--policy {model}'; 'export' converts zips of stable-baselines3"
-        )
-    policy = ZipPolicy(model, trust=trust, env_id=find_id(env_id) if env_id else "")
-    statistics = _find_statistics(policy, vecnormalize)
-    env = make_env(policy, "planar", robot, {})
-    from acsar_gym.tools.policies import sb3  # noqa: PLC0415 - optional
-
-    inner: Any = env.unwrapped
-    try:
-        known = policy.bundle
-        if known is None or known.env.id != strip_module(policy.env_id):
-            known = describe_policy(inner, policy.env_id)
-        before = None
-        if statistics is not None:
-            width = known.observation.width
-            before = sb3.read_normalizer(statistics, width, policy.frames)
-        sb3.export_policy(policy.network, out, known, before)
-    finally:
-        env.close()
-
-
-def _find_statistics(policy: ZipPolicy, named: str | None) -> Path | None:
-    """Return the VecNormalize file to use.
-
-    PolicyError if none is named, but one lies beside the zip, or the model was trained with one.
-    """
-    if named is not None:
-        return None if named == "none" else Path(named)
-    model, found = policy.path, statistics_beside(policy.path)
-    convert = f"'acsar-gym export {model} policy.onnx --trust --vecnormalize"
-    if found is not None:
-        raise PolicyError(
-            f"{model}: {found} is beside it: if it was trained with that VecNormalize, use "
-            f"{convert} {found}', otherwise --vecnormalize none"
-        )
-    if policy.normalized:
-        raise PolicyError(
-            f"{model}: was trained with a VecNormalize, whose file isn't beside it: use {convert} "
-            "FILE' with the file that it was saved to, or --vecnormalize none if it changed only "
-            "rewards"
-        )
-    return None

@@ -3,9 +3,11 @@
 Importing this package imports neither torch nor onnxruntime.
 """
 
-from acsar_gym.tools.policies.onnx import OnnxPolicy, actor, save
-from acsar_gym.tools.policies.policy import CallablePolicy, FilePolicy, Policy, is_callable, resolve
-from acsar_gym.tools.policies.sb3_zip import ZipPolicy, statistics_beside
+from acsar_gym.tools.policies.code import CallablePolicy, is_callable
+from acsar_gym.tools.policies.onnx import OnnxPolicy
+from acsar_gym.tools.policies.policy import FilePolicy, Policy, resolve
+from acsar_gym.tools.policies.saving import actor, save
+from acsar_gym.tools.policies.zip_policy import ZipPolicy
 
 __all__ = [
     "CallablePolicy",
@@ -17,5 +19,4 @@ __all__ = [
     "is_callable",
     "resolve",
     "save",
-    "statistics_beside",
 ]

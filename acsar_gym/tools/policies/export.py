@@ -1,25 +1,26 @@
-"""Exports torch modules to ONNX. Imports torch and onnx."""
+"""Exports torch modules as ONNX policies. Imports torch and onnx."""
 
 from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acsar_gym import reading
 from acsar_gym.errors import PolicyError, format_error, require_extra
-from acsar_gym.tools.policies.bundle import BUNDLE_KEY, Bundle, NormalizerSummary
-from acsar_gym.tools.policies.policy import MAX_POLICY_BYTES
+from acsar_gym.tools.policies.document import DOCUMENT_KEY, PolicyDocument
+from acsar_gym.tools.policies.onnx import MAX_POLICY_BYTES
 
 with require_extra("writing an ONNX policy (torch, onnx, onnxscript)", "train"):
     import onnx
     import onnxscript  # noqa: F401 - torch.onnx needs it
     import torch
+
+Shape = tuple[int, ...]
 
 
 class Normalizer(torch.nn.Module):
@@ -29,18 +30,21 @@ class Normalizer(torch.nn.Module):
         super().__init__()
         self.mean: torch.Tensor
         self.std: torch.Tensor
+        self.clip = clip
         try:
-            numbers = [np.asarray(given, np.float32) for given in (mean, std)]
-            self.clip = None if clip is None else float(clip)
+            numbers = [
+                np.atleast_1d(np.array(values, np.float32)) for values in (mean, std, clip or 1)
+            ]
         except (TypeError, ValueError):
-            numbers, self.clip = [np.full(2, np.nan, np.float32)] * 2, None
-        finite = all(array.ndim < 2 and np.isfinite(array).all() for array in numbers)
-        if not (finite and (numbers[1] > 0.0).all() and (self.clip is None or self.clip > 0.0)):
+            numbers = [np.full(1, np.nan)] * 3
+
+        is_finite = all(np.isfinite(array).all() and array.ndim == 1 for array in numbers)
+        if not is_finite or numbers[1].min() <= 0.0 or numbers[2].min() <= 0.0 or clip == 0:
             raise PolicyError(
                 "normalizer: mean, std and clip must be finite numbers, std and clip positive"
             )
-        for name, array in zip(("mean", "std"), numbers, strict=True):
-            self.register_buffer(name, torch.from_numpy(np.atleast_1d(array).copy()))
+        self.register_buffer("mean", torch.from_numpy(numbers[0]))
+        self.register_buffer("std", torch.from_numpy(numbers[1]))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Normalize observations, shape (batch, n)."""
@@ -53,7 +57,8 @@ class Actor(torch.nn.Module):
 
     def __init__(self, network: torch.nn.Module, call: Callable[[Any, Any], Any]) -> None:
         super().__init__()
-        self.network, self.call = network, call
+        self.network = network
+        self.call = call
 
     def forward(self, observation: torch.Tensor) -> Any:
         """Map observations (batch, n) to actions (batch, 2)."""
@@ -65,92 +70,95 @@ class _PolicyModule(torch.nn.Module):
 
     def __init__(self, network: torch.nn.Module, normalizer: torch.nn.Module | None) -> None:
         super().__init__()
-        self.normalizer, self.network = normalizer, network
+        self.normalizer = normalizer or torch.nn.Identity()
+        self.network = network
 
     def forward(self, observation: torch.Tensor) -> Any:
-        if self.normalizer is not None:
-            observation = self.normalizer(observation)
-        return torch.clamp(self.network(observation), -1.0, 1.0)
+        return torch.clamp(self.network(self.normalizer(observation)), -1.0, 1.0)
 
 
 class _RecurrentModule(_PolicyModule):
-    """The same for a recurrent network, which maps each state to the next one, too."""
+    """The same for a recurrent network, which also maps each state to the next one."""
 
     def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
-        if self.normalizer is not None:
-            observation = self.normalizer(observation)
-        action, *after = self.network(observation, *states)
-        return torch.clamp(action, -1.0, 1.0), *after
+        action, *next_states = self.network(self.normalizer(observation), *states)
+        return torch.clamp(action, -1.0, 1.0), *next_states
 
 
-def make_normalizer(given: Any) -> torch.nn.Module | None:
+def make_normalizer(source: Any) -> torch.nn.Module | None:
     """Convert the `normalizer` argument of `save` to a module."""
-    if given is None or isinstance(given, torch.nn.Module):
-        return given
-    if not isinstance(given, tuple | list) or len(given) not in (2, 3):
+    if source is None or isinstance(source, torch.nn.Module):
+        return source
+    if not isinstance(source, tuple | list) or len(source) not in (2, 3):
         raise PolicyError("normalizer: must be (mean, std), (mean, std, clip) or a torch module")
-    return Normalizer(*given)
+    return Normalizer(*source)
 
 
-def describe_normalizer(bundle: Bundle, normalizer: torch.nn.Module) -> Bundle:
-    """Return a bundle that says with what its network normalizes observations."""
-    summary = NormalizerSummary(kind=type(normalizer).__name__)
-    if isinstance(normalizer, Normalizer):
-        ends = [(float(v.min()), float(v.max())) for v in (normalizer.mean, normalizer.std)]
-        summary = NormalizerSummary(kind="running", clip=normalizer.clip, mean=ends[0], std=ends[1])
-    seen = bundle.observation.model_copy(update={"normalizer": summary})
-    return bundle.model_copy(update={"observation": seen})
+def export_network(
+    network: torch.nn.Module,
+    document: PolicyDocument,
+    normalizer: torch.nn.Module | None = None,
+    states: Sequence[Shape] = (),
+) -> bytes:
+    """Return a network as the content of an ONNX file that `OnnxPolicy` reads.
 
+    Args:
+        network: Maps observations (batch, n) to actions (batch, 2); with states, an observation and
+            states to an action and the next states, with a batch of one.
+        document: What the file contains besides it.
+        normalizer: Applied to observations first.
+        states: Shapes of the states.
 
-def write_network(
-    network: torch.nn.Module, path: Path, bundle: Bundle, normalizer: torch.nn.Module | None
-) -> None:
-    """Write a network as an ONNX file that `OnnxPolicy` reads, with its bundle as metadata.
-
-    The file maps `observation` (batch, n) to `action` (batch, 2) in float32. A recurrent one, with
-    a batch of one, also maps each state of the bundle to the next one.
+    Raises:
+        PolicyError: The network doesn't fit the document, or is too large.
     """
     weight = next(network.parameters(), torch.zeros(0))
-    if normalizer is not None:
-        normalizer.to(weight.device)
-        bundle = describe_normalizer(bundle, normalizer)
-    module = (_RecurrentModule if bundle.state else _PolicyModule)(network, normalizer)
-    shapes = [(1, bundle.observation.width), *(state.shape for state in bundle.state)]
+    module = (_RecurrentModule if states else _PolicyModule)(network, normalizer).to(weight.device)
+    shapes = [(1, document.width), *states]
     example = tuple(torch.zeros(*shape, device=weight.device) for shape in shapes)
-    modes = [(part, part.training) for part in module.modules()]
-    module.eval()  # no dropout
-    try:
+    names = [f"state_{number}" for number in range(len(states))]
+    with _evaluation_mode(module), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
         _check_module(module, example)
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision isn't needed
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
-            program: Any = torch.onnx.export(
-                module,
-                example,
-                input_names=["observation", *(state.input for state in bundle.state)],
-                output_names=["action", *(state.output for state in bundle.state)],
-                dynamic_shapes=None if bundle.state else ({0: "batch"},),
-                dynamo=True,
-                verbose=False,
-            )
+        program: Any = torch.onnx.export(
+            module,
+            example,
+            input_names=["observation", *names],
+            output_names=["action", *(f"next_{name}" for name in names)],
+            dynamic_shapes=None if states else ({0: "batch"},),
+            dynamo=True,
+            verbose=False,
+        )
+
+    model: Any = program.model_proto  # each access makes a new one
+    _remove_traces(model)
+    onnx.helper.set_model_props(model, {DOCUMENT_KEY: document.as_json()})
+    content: bytes = model.SerializeToString()
+    if len(content) > MAX_POLICY_BYTES:
+        size = f"{len(content) / 1e6:,.0f} MB"
+        raise PolicyError(f"the policy has {size}: must be {MAX_POLICY_BYTES / 1e6:g} MB at most")
+    return content
+
+
+@contextmanager
+def _evaluation_mode(module: torch.nn.Module) -> Iterator[None]:
+    """Switch dropout off, and set every part back to its mode."""
+    modes = [(layer, layer.training) for layer in module.modules()]
+    module.eval()
+    try:
+        yield
     finally:
-        for part, training in modes:
-            part.training = training
-    model: Any = program.model_proto  # made anew by each access
+        for layer, is_training in modes:
+            layer.training = is_training
+
+
+def _remove_traces(model: Any) -> None:
+    """Remove torch's stack traces, which contain paths of this machine."""
     graph = model.graph
-    # torch's stack traces contain paths of the training machine
-    for part in (
-        *(model, graph, *graph.node, *graph.input, *graph.output, *graph.value_info),
-        *graph.initializer,
-    ):
-        del part.metadata_props[:]
-    onnx.helper.set_model_props(model, {BUNDLE_KEY: bundle.as_json()})
-    data = model.SerializeToString()
-    if len(data) > MAX_POLICY_BYTES:
-        most = f"must be {MAX_POLICY_BYTES / 1e6:g} MB at most"
-        raise PolicyError(f"{path}: {len(data) / 1e6:,.0f} MB: {most}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    reading.write_atomically(path, data, PolicyError)
+    values = (*graph.input, *graph.output, *graph.value_info, *graph.initializer)
+    for place in (model, graph, *graph.node, *values):
+        del place.metadata_props[:]
 
 
 def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
@@ -158,20 +166,23 @@ def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) ->
     for name, weight in module.named_parameters():
         if not torch.isfinite(weight).all():
             raise PolicyError(
-                f"the module's weights {name} hold NaN or infinity: its training diverged: train "
-                "anew, for instance with a lower learning rate, or save an earlier state"
+                f"the module's weights {name} contain NaN or infinity, because its training "
+                "diverged: train again with a lower learning rate, or save an earlier state"
             )
     try:
         with torch.no_grad():
-            given = module(*example)
+            returned = module(*example)
     except Exception as error:
-        said = f"observations of shape (batch, {example[0].shape[1]}): {format_error(error)}"
-        raise PolicyError(f"the module doesn't take {said}") from error
-    action, *after = given if isinstance(given, tuple) else (given,)
+        shape = f"(batch, {example[0].shape[1]})"
+        raise PolicyError(
+            f"the module doesn't take observations of shape {shape}: {format_error(error)}"
+        ) from error
+
+    action, *states = returned if isinstance(returned, tuple) else (returned,)
     if action.shape != (1, 2):
         raise PolicyError(f"the module gives shape {tuple(action.shape)}: must be (batch, 2)")
     if not torch.isfinite(action).all():
         raise PolicyError(f"the module gives {action[0].tolist()} for an observation of zeros")
-    if [one.shape for one in after] != [one.shape for one in example[1:]]:
-        shapes = [tuple(one.shape) for one in after]
-        raise PolicyError(f"the module gives states of shape {shapes}: must be as they came in")
+    if [state.shape for state in states] != [state.shape for state in example[1:]]:
+        shapes = [tuple(state.shape) for state in states]
+        raise PolicyError(f"the module gives states of shape {shapes}: must be those that it takes")

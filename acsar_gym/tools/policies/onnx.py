@@ -1,278 +1,226 @@
-"""Policies as single ONNX files: they run without torch, and networks of any library become one."""
+"""Policies as single ONNX files, which run without torch."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.envs.ids import find_id
-from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import ConfigError, MissingExtraError, PolicyError, format_error
-from acsar_gym.physics import Randomization
-from acsar_gym.tasks import Observation
-from acsar_gym.tools.policies.bundle import (
-    BUNDLE_KEY,
-    Bundle,
-    StateLayout,
-    TrainingSummary,
-    describe_policy,
-    parse_bundle,
-)
-from acsar_gym.tools.policies.policy import (
-    MAX_POLICY_BYTES,
-    NO_POLICY,
-    FilePolicy,
-    resolve,
-)
+from acsar_gym.errors import MissingExtraError, PolicyError, format_error
+from acsar_gym.sensors import Sensor
+from acsar_gym.tasks import Observation, Task
+from acsar_gym.tools.policies import document as documents
+from acsar_gym.tools.policies.document import PolicyDocument
+from acsar_gym.tools.policies.policy import Actions, FilePolicy, resolve
 
-if TYPE_CHECKING:
-    import torch
-
-# onnxruntime 1.29 and later look at this when they are imported. Without it they tell their maker
+# onnxruntime 1.29 and later read this when they are imported. Without it they report to their maker
 # what they run, and keep an id of this computer in the user's cache folder.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
-
+MAX_POLICY_BYTES = 32_000_000
+"""Largest accepted ONNX file [bytes]; 8 million float32 weights."""
+MAX_STATE_SIZE = 1_000_000
+"""Most numbers of a recurrent state."""
 EXTERNAL_DATA = b"\n\x08location\x12"
 """How protobuf writes the key of a tensor's place in another file."""
-
-
-def load_network(data: bytes) -> tuple[Any, Bundle]:
-    """Load an ONNX file, and no other format, with one thread, and decide once.
-
-    Returns:
-        onnxruntime's session, which maps `observation` (batch, n) and states to `action` and next
-        states, and the bundle.
-
-    Raises:
-        PolicyError: it isn't a policy that this package runs; the message doesn't name the file.
-    """
-    if data.startswith(b"PK"):
-        raise PolicyError(
-            "isn't an ONNX file but a zip, as stable-baselines3 writes it, which can run code when "
-            "it's loaded: convert it once with 'acsar-gym export MODEL.zip policy.onnx --trust'"
-        )
-    if not data.startswith(b"\x08"):  # the key of `ir_version`
-        raise PolicyError(NO_POLICY)
-    if EXTERNAL_DATA in data:
-        raise PolicyError("has weights in another file: export it as one file")
-    try:
-        import onnxruntime  # noqa: PLC0415 - optional
-    except ImportError as error:
-        raise MissingExtraError("running a policy", "deploy") from error
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.add_session_config_entry("session.load_model_format", "ONNX")
-    options.log_severity_level = 4
-    try:
-        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        bundle = _check_signature(session)
-        _check_decisions(session, bundle)
-    except PolicyError:
-        raise
-    except Exception as error:  # onnxruntime's errors have no common base of their own
-        if "INVALID_PROTOBUF" in str(error):
-            raise PolicyError("isn't a whole ONNX file: copy or export it again") from error
-        raise PolicyError(f"not a policy to run: {format_error(error)}") from error
-    return session, bundle
-
-
-def _check_signature(session: Any) -> Bundle:
-    """Check that a network's inputs and outputs are those of its bundle, in float32."""
-    metadata = session.get_modelmeta().custom_metadata_map
-    if BUNDLE_KEY not in metadata:
-        raise PolicyError(
-            "an ONNX network without a bundle, which says what it was trained for: write it with "
-            "'acsar-gym export' or acsar_gym.tools.policies.save"
-        )
-    bundle = parse_bundle(metadata[BUNDLE_KEY])
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    names = [[put.name[:40] for put in side[:5]] for side in (inputs, outputs)]
-    if [side[:1] for side in names] != [["observation"], ["action"]]:
-        raise PolicyError(f"must map 'observation' to 'action', maps {names[0]} to {names[1]}")
-    if any(put.type != "tensor(float)" for put in (*inputs, *outputs)):
-        raise PolicyError("must have inputs and outputs of float32")
-    width, shape = bundle.observation.width, inputs[0].shape
-    if len(shape) != 2 or shape[1] != width:
-        raise PolicyError(
-            f"takes {shape[-1]} numbers, but its bundle describes {width}: export the policy again"
-        )
-    states = [(put.name, tuple(put.shape)) for put in inputs[1:]]
-    if [(state.input, state.shape) for state in bundle.state] != states or [
-        state.output for state in bundle.state
-    ] != [put.name for put in outputs[1:]]:
-        raise PolicyError(
-            f"has {len(states)} states, which aren't the {len(bundle.state)} of its bundle: export "
-            "the policy again"
-        )
-    return bundle
-
-
-def _check_decisions(session: Any, bundle: Bundle) -> None:
-    """Check that an observation of zeros gets the same two finite numbers twice."""
-    zeros = {state.input: np.zeros(state.shape, np.float32) for state in bundle.state}
-    zeros["observation"] = np.zeros((1, bundle.observation.width), np.float32)
-    action, *states = session.run(None, zeros)
-    if action.shape != (1, 2):
-        raise PolicyError(f"gives shape {action.shape}: must be (1, 2)")
-    if not np.isfinite(action).all():
-        raise PolicyError(f"gives {action[0].tolist()} for an observation of zeros")
-    if [state.shape for state in states] != [state.shape for state in bundle.state]:
-        raise PolicyError("gives states of other shapes than it takes")
-    if not np.array_equal(action, session.run(None, zeros)[0]):
-        raise PolicyError("decides at random: must give the same action for the same observation")
 
 
 class OnnxPolicy(FilePolicy):
     """A policy read from an ONNX file; loading runs no code from the file.
 
+    The network maps `observation` (batch, n) to `action` (batch, 2). Each further input is a
+    recurrent state, whose next value is the output at the same place; all states are zeros at the
+    start of an episode. A policy can be pickled, with its file's content.
+
     Args:
-        path: an ONNX file, or the name of a policy that comes with the package.
+        path: An ONNX file, or the name of a packaged policy.
 
     Raises:
-        PolicyError: the file is missing, or isn't a policy that this package accepts.
+        PolicyError: The file is missing, or isn't a policy that this package accepts.
         MissingExtraError: onnxruntime isn't installed.
+
+    Example:
+        import numpy as np
+        from acsar_gym.tools.policies import OnnxPolicy
+
+        policy = OnnxPolicy("point_goal")
+        assert policy(np.zeros(7, np.float32)).shape == (2,)
     """
 
-    bundle: Bundle
+    document: PolicyDocument
+    """What the file contains besides the network."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = resolve(path)
-        data = reading.read_file(self.path, MAX_POLICY_BYTES, PolicyError)
+        self._load(reading.read_file(self.path, MAX_POLICY_BYTES, PolicyError))
+        self.env_id = self.document.env
+
+    def _load(self, content: bytes) -> None:
+        """Load the network, and decide once on zeros."""
+        self._content = content
+        self.sha256 = hashlib.sha256(content).hexdigest()
         try:
-            self._session, self.bundle = load_network(data)
+            self._session = _load_session(content)
+            metadata = self._session.get_modelmeta().custom_metadata_map
+            self.document = documents.parse_document(metadata)
+            self._check_network()
         except PolicyError as error:
             raise PolicyError(f"{self.path}: {error}") from error
-        self.sha256 = hashlib.sha256(data).hexdigest()
-        self.width, self.env_id = self.bundle.observation.width, self.bundle.env.id
-        # Arrays that are made once: faster than new ones for every decision.
-        self._run, self._binding = self._session.run_with_iobinding, self._session.io_binding()
-        self._observation = self._bind("input", "observation", (1, self.width))
-        self._action = self._bind("output", "action", (1, 2))
-        self._states = [
-            (self._bind("input", one.input, one.shape), self._bind("output", one.output, one.shape))
-            for one in self.bundle.state
-        ]
-        if not self.bundle.state and isinstance(self._session.get_inputs()[0].shape[0], str):
+
+        self.width = self.document.width
+        self.scale = self.document.scale
+        self.reset()
+        has_free_batch = isinstance(self._session.get_inputs()[0].shape[0], str)
+        if has_free_batch and not self._state_shapes:
             self.act_many = self._act_many
 
-    def _bind(self, side: str, name: str, shape: tuple[int, ...]) -> NDArray[np.float32]:
-        """Make the array that the session reads an input from, or writes an output to."""
-        array = np.zeros(shape, np.float32)
-        bind = getattr(self._binding, f"bind_{side}")
-        bind(name, "cpu", 0, np.float32, shape, array.ctypes.data)
-        return array
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what is pickled: the content of the file instead of the session."""
+        unpicklable = ("_session", "act_many")
+        return {name: value for name, value in vars(self).items() if name not in unpicklable}
 
-    def reset(self) -> None:
-        """Begin an episode: the states of a recurrent policy become zeros."""
-        for before, _ in self._states:
-            before.fill(0.0)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        sha256 = self.sha256
+        self._load(self._content)
+        self.sha256 = sha256  # a zip's, if it was made of one
 
-    def __call__(self, observation: Observation) -> NDArray[np.float32]:
-        """Compute the deterministic action in [-1, 1], shape (2,), for one observation.
+    def _check_network(self) -> None:
+        """Find the states, and check that an observation of zeros gets the same action twice."""
+        inputs = [put.name for put in self._session.get_inputs()]
+        outputs = [put.name for put in self._session.get_outputs()]
+        if [inputs[:1], outputs[:1]] != [["observation"], ["action"]]:
+            names = (", ".join(inputs)[:40], ", ".join(outputs)[:40])
+            raise PolicyError(f"must map 'observation' to 'action', maps {names[0]} to {names[1]}")
+        self._state_shapes = {put.name: put.shape for put in self._session.get_inputs()[1:]}
+        for name, shape in self._state_shapes.items():
+            fixed = all(isinstance(size, int) for size in shape)
+            if not fixed or math.prod(shape) > MAX_STATE_SIZE:
+                raise PolicyError(f"state {name[:40]} has shape {str(shape)[:60]}: must be fixed")
 
-        Not for several threads at once: they share the arrays, and the states if it has some.
+        try:
+            zeros = np.zeros((1, self.document.width), np.float32)
+            states = self._zero_states()
+            action, *next_states = self._session.run(None, {"observation": zeros, **states})
+            again = self._session.run(None, {"observation": zeros, **states})[0]
+        except Exception as error:  # onnxruntime's errors have no common base of their own
+            raise PolicyError(
+                f"doesn't decide for {self.document.width} numbers: {format_error(error)}"
+            ) from error
+        if action.shape != (1, 2) or action.dtype != np.float32 or not np.isfinite(action).all():
+            text = str(action.tolist())[:100]
+            raise PolicyError(f"gives {text} for zeros: must be (1, 2) finite float32 numbers")
+        shapes = [[*state.shape] for state in next_states]
+        if shapes != [[*shape] for shape in self._state_shapes.values()]:
+            raise PolicyError("gives other states than it takes")
+        if not np.array_equal(action, again):
+            raise PolicyError("decides at random: must give the same action for the same input")
+
+    def _zero_states(self) -> dict[str, Any]:
+        """Return the states at the start of an episode."""
+        return {name: np.zeros(shape, np.float32) for name, shape in self._state_shapes.items()}
+
+    def check(
+        self,
+        task: Task,
+        sensors: Sequence[Sensor],
+        policy_rate: float | None = None,
+        config: RobotConfig | None = None,
+    ) -> None:
+        """Check that the policy can drive in an env, and set `differences` and `outside`.
+
+        Args:
+            task: Task of the env.
+            sensors: Sensors of the env, in the order of the observation.
+            policy_rate: Policy steps per second of the env [Hz]; None to skip this check.
+            config: Robot of the env; None to skip its comparison.
 
         Raises:
-            PolicyError: the observation has another shape.
+            PolicyError: The observation or the rate is another one; the message names the line.
+        """
+        try:
+            documents.check_observation(self.document, task, sensors, policy_rate)
+        except PolicyError as error:
+            raise PolicyError(f"{self.path}: {error}") from error
+        if config is not None:
+            self.differences = tuple(documents.list_differences(self.document, task, config))
+            self.outside = tuple(documents.list_outside(self.document, config))
+
+    def save(self, path: Path) -> None:
+        """Write the policy to an ONNX file, all of it or nothing."""
+        write_policy(path, self._content)
+
+    def reset(self) -> None:
+        """Start an episode: the states of a recurrent policy become zeros."""
+        self._states = self._zero_states()
+
+    def __call__(self, observation: Observation) -> Actions:
+        """Compute the deterministic action in [-1, 1], shape (2,), for one observation.
+
+        Raises:
+            PolicyError: The observation has another shape.
         """
         if observation.ndim != 1 or len(observation) < self.width:
             raise PolicyError(
                 f"{self.path}: got an observation of shape {observation.shape}: must be "
                 f"({self.width},), or longer"
             )
-        self._observation[0] = observation[: self.width]
-        self._run(self._binding)
-        for before, after in self._states:
-            before[...] = after
-        action: NDArray[np.float32] = self._action[0].copy()
+        batch = observation[None, : self.width].astype(np.float32)
+        actions, *states = self._session.run(None, {"observation": batch, **self._states})
+        self._states = dict(zip(self._states, states, strict=True))
+        action: Actions = actions[0]
         return action
 
-    def _act_many(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _act_many(self, observations: Actions) -> Actions:
         """Compute actions (n, 2) for observations (n, numbers)."""
-        seen = np.ascontiguousarray(observations[:, : self.width])
-        actions: NDArray[np.float32] = self._session.run(None, {"observation": seen})[0]
+        batch = np.ascontiguousarray(observations[:, : self.width])
+        actions: Actions = self._session.run(None, {"observation": batch})[0]
         return actions
 
 
-def actor(network: torch.nn.Module, call: Callable[[Any, torch.Tensor], Any]) -> torch.nn.Module:
-    """Adapt a network of another library to `save`, which wants observations in, actions out.
+def write_policy(path: Path, content: bytes) -> None:
+    """Write the content of a policy file, all of it or nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    reading.write_atomically(path, content, PolicyError)
 
-    For instance TorchRL's, which returns mean and scale before the tanh of its distribution:
-    `policies.save(policies.actor(network, lambda net, seen: net(seen)[0].tanh()), ...)`.
 
-    Args:
-        network: any module; its weights become part of the file.
-        call: called with the network and observations (batch, n); returns actions (batch, 2).
-
-    Returns:
-        A module that maps observations (batch, n) to actions (batch, 2).
+def _load_session(content: bytes) -> Any:
+    """Load an ONNX file, and no other format, for one thread.
 
     Raises:
-        MissingExtraError: torch, onnx or onnxscript isn't installed.
+        PolicyError: It isn't one; the message doesn't name the file.
     """
-    from acsar_gym.tools.policies import export  # noqa: PLC0415 - optional
-
-    return export.Actor(network, call)
-
-
-def save(
-    module: torch.nn.Module,
-    env_id: str,
-    path: str | Path,
-    *,
-    normalizer: Sequence[Any] | torch.nn.Module | None = None,
-    robot: RobotConfig | str | Path | None = None,
-    training: TrainingSummary | None = None,
-    state: Sequence[StateLayout] = (),
-    **env_kwargs: Any,
-) -> None:
-    """Write a trained network as an ONNX policy, for `acsar-gym evaluate` and `run`.
-
-    Args:
-        module: maps observations (batch, n) to actions (batch, 2), which are clipped to [-1, 1].
-        env_id: the env of the training, such as "acsar_gym/PointGoal-v0".
-        path: the ONNX file to write.
-        normalizer: of the observations: (mean, std), (mean, std, clip) or a module; mean and std
-            are numbers or arrays (n,). It becomes part of the file.
-        robot: preset, file or config of the robot that it was trained on.
-        training: how it was trained.
-        state: of a recurrent module, (observation, state, ...) to (action, next state, ...).
-        **env_kwargs: other arguments of the env in the training, such as policy_rate=20.0 or
-            randomization; the file stores what follows from them.
-
-    Raises:
-        ConfigError: there is no such environment, or it doesn't take these arguments.
-        PolicyError: the module doesn't fit the env, or can't be exported.
-        MissingExtraError: torch, onnx or onnxscript isn't installed.
-    """
-    from acsar_gym.tools.policies import export  # noqa: PLC0415 - optional
-
-    before = export.make_normalizer(normalizer)
+    if content.startswith(b"PK"):
+        raise PolicyError(
+            "isn't an ONNX file but a zip of stable-baselines3, which can run code when it's "
+            "loaded: convert it once with 'acsar-gym policy MODEL.zip --out policy.onnx --trust'"
+        )
+    if EXTERNAL_DATA in content:
+        raise PolicyError("has weights in another file: export it as one file")
     try:
-        env = gymnasium.make(find_id(env_id), link="planar", robot=robot, **env_kwargs).unwrapped
-    except (gymnasium.error.Error, ImportError) as error:
-        raise ConfigError(f"{env_id}: {error}") from error
-    except TypeError as error:
-        raise ConfigError(
-            f"{env_id}: doesn't take these arguments: {format_error(error)}"
+        import onnxruntime  # noqa: PLC0415 - optional
+    except ImportError as error:
+        raise MissingExtraError("running a policy", "deploy") from error
+
+    # One thread, which doesn't spin: the control loop has the other cores.
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.load_model_format", "ONNX")
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's errors have no common base of their own
+        raise PolicyError(
+            f"isn't a whole ONNX file ({format_error(error)[:150]}): copy it again, or write one "
+            "with 'acsar-gym train' or 'acsar-gym policy MODEL.zip --out policy.onnx --trust'"
         ) from error
-    try:
-        if not isinstance(env, RobotEnv):
-            raise ConfigError(f"{env_id}: not an environment of acsar_gym")
-        ranges = Randomization.of(env_kwargs.get("randomization"), env.robot.config)
-        bundle = describe_policy(env, env_id, randomization=ranges, training=training, state=state)
-        export.write_network(module, Path(path), bundle, before)
-    finally:
-        env.close()

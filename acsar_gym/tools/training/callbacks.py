@@ -1,4 +1,4 @@
-"""Callbacks of a training: held-out scores, checkpoints, progress, and early end."""
+"""Callbacks of a training: held-out scores, checkpoints, and progress. Imports torch."""
 
 from __future__ import annotations
 
@@ -7,12 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
 from acsar_gym.tools.evaluation.metrics import Summary
-from acsar_gym.tools.training import checkpoints, held_out, models
-from acsar_gym.tools.training.checkpoints import StopRequest, TrainingState
+from acsar_gym.tools.training import folders, held_out
+from acsar_gym.tools.training.held_out import Curve, Decide
 from acsar_gym.vector.env import RobotVectorEnv
 
 
@@ -27,96 +31,110 @@ class RolloutCallback(BaseCallback):
         return True
 
 
-class HeldOutEvaluation(RolloutCallback):
+class HeldOutScores(RolloutCallback):
     """Evaluates the deterministic policy on a batch of robots that isn't used for training.
 
     It does so after the first rollout, then up to `evaluations` times, and when `finish` is called.
-    Scores are logged as eval/success_rate, eval/collision_rate, eval/struck_rate,
-    eval/mean_return and eval/mean_length. A score that reaches the target raises TargetReached.
+    Scores are logged under eval/. A score that reaches the target raises TargetReached.
 
     Attributes:
-        score: the newest score; None before the first one.
-        reached: whether it has reached the target.
-        name: label of the success rate, for output.
-        rows: the learning curve; `held_out.CURVE_COLUMNS` are its columns.
+        score: The newest score; None before the first one.
+        curve: The learning curve.
+        name: Label of the success rate, for output.
     """
 
     def __init__(
         self,
         batch: RobotVectorEnv,
-        steps: int,
-        evaluations: int,
+        curve: Curve,
+        interval: int,
         *,
         target: float | None = None,
         clock: Callable[[], float] = time.monotonic,
-        file: Path | None = None,
-        rows: held_out.Rows | None = None,
     ) -> None:
         super().__init__()
-        self._batch, self._target, self.clock, self._file = batch, target, clock, file
-        self._interval = max(1, steps // evaluations)
-        self.rows: held_out.Rows = list(rows or [])
+        self._batch = batch
+        self._interval = interval
+        self._target = 2.0 if target is None else target
+        self._clock = clock
+
+        self.curve = curve
         self.score: Summary | None = None
-        self.reached = False
         self.name = held_out.success_label(batch)
 
+    @property
+    def is_reached(self) -> bool:
+        """Whether the newest score has reached the target."""
+        return self.score is not None and self.score.success_rate >= self._target
+
     def _on_rollout_end(self) -> None:
-        last = self.rows[-1]["steps"] if self.rows else -self._interval
+        rows = self.curve.rows
+        last = rows[-1]["steps"] if rows else -self._interval
         if self.num_timesteps // self._interval > last // self._interval:
-            score = self._evaluate()
-            self.reached = self._target is not None and score.success_rate >= self._target
-            if self.reached:
+            self._evaluate()
+            if self.is_reached:
                 raise TargetReached
 
-    def finish(self) -> Summary:
-        """Return the score of the policy after its last update."""
-        if self.reached and self.score is not None:
-            return self.score
-        score = self._evaluate()
-        self.logger.dump(self.num_timesteps)
-        return score
+    def finish(self) -> None:
+        """Score the policy after its last update."""
+        if not self.is_reached:
+            self._evaluate()
+            self.logger.dump(self.num_timesteps)
 
-    def _evaluate(self) -> Summary:
+    def _evaluate(self) -> None:
         """Evaluate the policy and log the score."""
-        score = held_out.evaluate_held_out(self._batch, models.make_decider(self.model))
-        row = held_out.curve_figures(score)
-        for name, value in row.items():
+        self.score = held_out.evaluate_held_out(self._batch, make_decider(self.model))
+        figures = held_out.curve_figures(self.score)
+        for name, value in figures.items():
             self.logger.record(f"eval/{name}", value)
-        self.score = score
-        if self.rows and self.rows[-1]["steps"] == self.num_timesteps:
-            self.rows.pop()  # before the last update
-        self.rows.append({"steps": self.num_timesteps, "seconds": round(self.clock(), 2), **row})
-        if self._file is not None:
-            held_out.write_curve(self._file, self.rows)
-        return score
+        seconds = round(self._clock(), 2)
+        self.curve.append({"steps": self.num_timesteps, "seconds": seconds, **figures})
+
+
+def make_decider(model: BaseAlgorithm) -> Decide:
+    """Return a function from observations (n, m) to deterministic actions (n, 2).
+
+    A recurrent policy's state starts at the first call, and is kept for all robots from then on.
+    """
+    policy: Any = model.policy
+    width = policy.observation_space.shape[0]
+    state = None
+
+    def decide(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """As the policy's `predict`, in half the time."""
+        kept = np.ascontiguousarray(observations[:, :width])
+        with torch.no_grad():
+            action = policy._predict(torch.from_numpy(kept).to(policy.device), deterministic=True)  # noqa: SLF001
+        clipped: NDArray[np.float32] = np.clip(action.cpu().numpy(), -1.0, 1.0)
+        return clipped
+
+    def decide_with_state(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        nonlocal state
+        starts = np.full(len(observations), state is None)
+        kept = observations[:, :width]
+        action, state = policy.predict(kept, state, starts, deterministic=True)
+        return np.asarray(action, np.float32)
+
+    return decide_with_state if hasattr(policy, "lstm_actor") else decide
 
 
 class CheckpointWriter(RolloutCallback):
     """Writes a checkpoint between two rollouts, whenever some time has passed."""
 
-    def __init__(self, folder: Path, run: str, scores: HeldOutEvaluation, seconds: float) -> None:
+    def __init__(self, folder: Path, seconds: float) -> None:
         super().__init__()
-        self._folder, self._run = folder, run
-        self._scores, self._seconds = scores, seconds
-        self._due = self._written = 0.0
+        self._folder = folder
+        self._seconds = seconds
+        self._written = time.monotonic()
 
     def _on_training_start(self) -> None:
-        self._due = time.monotonic() + self._seconds
-        self._written = self.model.num_timesteps
+        self._written = time.monotonic()
 
     def _on_rollout_start(self) -> None:
-        if time.monotonic() >= self._due:
-            self.write_checkpoint()
-            self._due = time.monotonic() + self._seconds
-
-    def write_checkpoint(self) -> None:
-        """Write a checkpoint, unless there is one of so many steps; only between two rollouts."""
-        if self.model.num_timesteps > self._written:
-            state = TrainingState(
-                self._run, self.model.num_timesteps, self._scores.clock(), self._scores.rows
-            )
-            checkpoints.write_checkpoint(self._folder, self.model, state)
-            self._written = self.model.num_timesteps
+        is_due = time.monotonic() >= self._written + self._seconds
+        if is_due and self.n_calls:
+            folders.write_checkpoint(self.model, self._folder)
+            self._written = time.monotonic()
 
 
 class WholeCohorts(RolloutCallback):
@@ -139,15 +157,21 @@ class WholeCohorts(RolloutCallback):
             buffers.ep_info_buffer.clear()
 
 
-class TrainingProgress(RolloutCallback):
+class TrainingProgress(BaseCallback):
     """Shows a progress bar with env steps per second and the newest held-out success rate.
 
-    If the output isn't a terminal, it prints one line per evaluation instead.
+    If the output isn't a terminal, it prints one line per evaluation instead. The speed is measured
+    from the second step on, because the first one compiles.
+
+    Args:
+        total: Number of steps at the end of the training.
+        scores: The held-out scores.
     """
 
-    def __init__(self, steps: int, scores: HeldOutEvaluation, before: int | None = None) -> None:
+    def __init__(self, total: int, scores: HeldOutScores) -> None:
         super().__init__()
-        self._steps, self._scores, self._not_counted = steps, scores, before
+        self._total = total
+        self._scores = scores
         self._shown: Summary | None = None
         self._progress = Progress(
             BarColumn(),
@@ -156,39 +180,30 @@ class TrainingProgress(RolloutCallback):
             TimeElapsedColumn(),
         )
         self._progress.disable = not self._progress.console.is_terminal
-        self._task: TaskID = self._progress.add_task("train", total=steps, speed=0.0, rate="-")
-        self._begin = 0.0
-        self._begun_at = self._before = 0
+        self._task = self._progress.add_task("train", total=total, speed=0.0, rate="-")
+        self._start: tuple[int, float] | None = None
 
     def _on_training_start(self) -> None:
-        self._begin = time.monotonic()
-        self._begun_at = self.num_timesteps
-        self._before = self._begun_at if self._not_counted is None else self._not_counted
         self._progress.start()
 
+    def _on_step(self) -> bool:
+        if self._start is None:
+            self._start = (self.num_timesteps, time.monotonic())
+        return True
+
     def _on_rollout_end(self) -> None:
-        done, score = self.num_timesteps - self._before, self._scores.score
-        speed = (self.num_timesteps - self._begun_at) / (time.monotonic() - self._begin)
-        total, rate = max(done, self._steps), f"{score.success_rate:.1%}" if score else "-"
-        self._progress.update(self._task, completed=done, total=total, speed=speed, rate=rate)
+        steps, seconds = self._start or (0, 0.0)
+        speed = (self.num_timesteps - steps) / max(time.monotonic() - seconds, 1e-9)
+        score = self._scores.score
+        rate = f"{score.success_rate:.1%}" if score else "-"
+        total = max(self.num_timesteps, self._total)
+        self._progress.update(
+            self._task, completed=self.num_timesteps, total=total, speed=speed, rate=rate
+        )
         if self._progress.disable and score is not self._shown:
-            print(
-                f"{done:,} of {total:,} steps, {speed:,.0f} a second, {self._scores.name} {rate}",
-                flush=True,
-            )
+            done = f"{self.num_timesteps:,} of {total:,} steps, {speed:,.0f} a second"
+            print(f"{done}, {self._scores.name} {rate}", flush=True)
         self._shown = score
 
     def _on_training_end(self) -> None:
         self._progress.stop()
-
-
-class EndOnSignal(BaseCallback):
-    """Ends the training after the step during which a signal arrived."""
-
-    def __init__(self, stop: StopRequest) -> None:
-        super().__init__()
-        self._stop = stop
-
-    def _on_step(self) -> bool:
-        self._stop.defer()
-        return self._stop.number is None

@@ -17,7 +17,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper,
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.physics import Randomization
 from acsar_gym.sensors import LIDAR, MAP
 from acsar_gym.tools.policies.sb3 import BatchVecEnv, make_batch
 
@@ -38,45 +37,44 @@ def batch(env: VecEnv, *, randomize: bool = True, threads: int | None = None) ->
     if env.num_envs == 1:
         return env
     spec = env.get_attr("spec", 0)[0]
-    config = env.get_attr("unwrapped", 0)[0].robot.config
-    options = {
-        name: value for name, value in spec.kwargs.items() if name not in SINGLE_ENV_ARGUMENTS
-    }
+    options = {k: v for k, v in spec.kwargs.items() if k not in SINGLE_ENV_ARGUMENTS}
     if randomize:
-        options.setdefault("randomization", Randomization.measured(config))
-    made: VecEnv = make_batch(spec.id, env.num_envs, threads=threads, **options)
-    made._seeds = list(env._seeds)  # noqa: SLF001 - what make_vec_env has seeded
-    logs: list[Path] = []
-    if isinstance(env, DummyVecEnv):
-        writers: list[Any] = [each.results_writer for each in env.envs if isinstance(each, Monitor)]
-        logs = [Path(writer.file_handler.name) for writer in writers if writer is not None]
+        options.setdefault("randomization", True)
+
+    robots: VecEnv = make_batch(spec.id, env.num_envs, threads=threads, **options)
+    robots._seeds = list(env._seeds)  # noqa: SLF001 - what make_vec_env has seeded
+    files = _monitor_files(env)
     env.close()
-    for path in logs:
+    for path in files:
         path.unlink(missing_ok=True)  # they are empty
-    if not logs:
-        return made
+    if not files:
+        return robots
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that a batch has the statistics of Monitor already
-        return VecMonitor(made, str(logs[0]))
+        return VecMonitor(robots, str(files[0]))
+
+
+def _monitor_files(env: VecEnv) -> list[Path]:
+    """Return the files to which the Monitors of single envs write."""
+    envs = env.envs if isinstance(env, DummyVecEnv) else []
+    writers: list[Any] = [single.results_writer for single in envs if isinstance(single, Monitor)]
+    return [Path(writer.file_handler.name) for writer in writers if writer is not None]
 
 
 def without_rays(env: VecEnv) -> VecEnv:
     """Leave the LiDAR's own numbers, and what follows them, out of observations.
 
-    What the map, and the sensor of movers, say about them is in units of the robot: a policy that
-    sees no more than that can drive robots whose LiDAR has other rays.
+    What the map and the sensor of movers contain is in units of the robot: a policy that observes
+    no more can drive robots whose LiDAR has other rays.
     """
     inner = env.unwrapped
-    if isinstance(inner, BatchVecEnv):
-        task, sensors = inner.robots.task, list(inner.robots.sensors)
-    else:
-        single = env.get_attr("unwrapped", 0)[0]
-        task, sensors = single.task, list(single.sensors)
+    robot = inner.robots if isinstance(inner, BatchVecEnv) else env.get_attr("unwrapped", 0)[0]
+    sensors = list(robot.sensors)
     names = [sensor.name for sensor in sensors]
     if MAP not in names or LIDAR not in names:
         raise ConfigError("without_rays: must wrap robots with a map and a LiDAR")
-    before = sensors[: names.index(LIDAR)]
-    return FirstNumbers(env, len(task.observation) + sum(sensor.size for sensor in before))
+    kept = sensors[: names.index(LIDAR)]
+    return FirstNumbers(env, len(robot.task.observation) + sum(sensor.size for sensor in kept))
 
 
 class FirstNumbers(VecEnvWrapper):
@@ -90,8 +88,8 @@ class FirstNumbers(VecEnvWrapper):
     def reset(self) -> VecEnvObs:
         """Start a new episode of every robot; returns observations (robots, count)."""
         observations: Any = self.venv.reset()
-        first: VecEnvObs = observations[:, : self._count]
-        return first
+        kept: VecEnvObs = observations[:, : self._count]
+        return kept
 
     def step_wait(self) -> VecEnvStepReturn:
         """Return what the envs return, with shorter observations."""

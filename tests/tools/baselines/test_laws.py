@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from acsar_gym.errors import PolicyError
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools import baselines
 from acsar_gym.tools.baselines import BaselinePolicy
-from acsar_gym.tools.baselines.base import RobotUnits, find_constants, read_constants
+from acsar_gym.tools.baselines.base import find_constants, read_constants
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 
@@ -58,21 +57,6 @@ def test_a_straight_path_is_followed_straight_and_steered_back_to() -> None:
     linear, angular = policy.act(path_seen(AHEAD - (0.0, 0.1), cross_track=0.1))
     assert linear > 0.0
     assert angular < -0.1
-
-
-def test_pure_pursuit_drives_the_arc_that_the_path_is() -> None:
-    """But for the straight pieces between the observed points, which lie within the circle."""
-    turned = 0.25 * np.arange(1, 5)
-    points = np.column_stack([np.sin(turned), 1.0 - np.cos(turned)])
-    linear, angular = equipped("pure_pursuit").act(path_seen(points))
-    assert angular / linear == pytest.approx(1.0, rel=0.15)
-
-
-def test_a_path_that_leads_back_is_turned_to() -> None:
-    seen = path_seen(-AHEAD + (0.0, 0.05), 0.05, -math.pi + 0.2)
-    linear, angular = equipped("pure_pursuit").act(seen)
-    assert linear == 0.0
-    assert abs(angular) == CONFIG.max_angular
 
 
 def test_a_baseline_is_evaluated_by_its_name() -> None:
@@ -131,14 +115,3 @@ def test_every_entry_is_of_known_constants_and_presets(name: str) -> None:
         for robot, constants in robots.items():
             assert RobotConfig.preset(robot)
             assert kind(**constants) != kind()
-
-
-def test_units_are_those_of_the_robot() -> None:
-    """The Jackal's command limits allow 20 m/s^2, its wheels 60 rad/s^2 of 9.8 cm."""
-    jackal = RobotUnits.of(JACKAL, 0.1)
-    assert jackal.radius == pytest.approx(math.hypot(0.254, 0.215))
-    assert (jackal.speed, jackal.turning) == (2.0, 4.0)
-    assert jackal.acceleration == jackal.braking == pytest.approx(5.88)
-    assert jackal.spin == pytest.approx(2.0 * 5.88 / (0.37559 * 1.5))
-    slow = RobotUnits.of(CONFIG, 0.1)
-    assert (slow.acceleration, slow.braking) == (2.0, 3.0)

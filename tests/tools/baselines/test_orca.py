@@ -10,7 +10,7 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.tools.baselines.mapped import true_tracks
-from acsar_gym.tools.baselines.orca import VelocityModel, forbid_meeting, list_planes, predict_pose
+from acsar_gym.tools.baselines.orca import VelocityModel, forbid_meeting, list_planes
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.crowd import Crowd
 from acsar_gym.worlds.geometry import make_surroundings
@@ -48,22 +48,6 @@ def test_no_velocity_of_the_half_plane_meets_the_mover() -> None:
     assert met > 100
 
 
-def test_half_of_the_avoidance_is_half_of_the_change() -> None:
-    mover, half, whole = np.array([1.0, 0.1, -0.5, 0.0, 0.25]), np.zeros(3), np.zeros(3)
-    forbid_meeting(whole, mover, 0.4, MODEL)
-    forbid_meeting(half, mover, 0.4, MODEL._replace(share=0.5))
-    assert half[:2] == pytest.approx(whole[:2])
-    missing = whole[2] - whole[0] * 0.4
-    assert missing > 0.0
-    assert half[2] - half[0] * 0.4 == pytest.approx(0.5 * missing)
-
-
-def test_a_mover_that_is_touched_is_left_within_a_period() -> None:
-    plane = np.zeros(3)
-    forbid_meeting(plane, np.array([0.5, 0.0, 0.0, 0.0, 0.25]), 0.0, MODEL)
-    assert plane == pytest.approx([-1.0, 0.0, 0.5], abs=1e-6)
-
-
 def test_what_stands_is_reached_by_the_footprint_no_sooner_than_the_horizon() -> None:
     """The bumper is 0.17 m ahead: a wall at 0.52 m leaves 0.3 m with the margin."""
     footprint = make_surroundings(None, None, CONFIG)
@@ -71,14 +55,6 @@ def test_what_stands_is_reached_by_the_footprint_no_sooner_than_the_horizon() ->
     planes, walls = list_planes(0.0, points, np.zeros((0, 5)), MODEL, footprint)
     assert walls == 3
     assert planes[-3:] == pytest.approx(np.array([[-1, 0, -0.6], [-1, 0, -0.6], [1, 0, 0.0]]))
-
-
-def test_a_pose_is_predicted_with_the_motors_lag() -> None:
-    (x, y, theta), speed = predict_pose((1.0, 2.0, 0.0), (0.5, 0.0), (0.5, 0.0), 0.1, 0.2)
-    assert (x, y, theta, speed) == pytest.approx((1.1, 2.0, 0.0, 0.5))
-    (x, *_), speed = predict_pose((0.0, 0.0, 0.0), (0.0, 0.0), (0.5, 0.0), 0.1, 0.2)
-    assert speed == pytest.approx(0.5 * (1.0 - math.exp(-2.0)))
-    assert 0.0 < x < 0.1
 
 
 def test_true_tracks_are_in_the_odometry_frame() -> None:

@@ -1,91 +1,117 @@
-"""Benchmarks that run: with baselines, interrupted and gone on with, over a port."""
+"""Benchmarks that run: with baselines and users' agents, interrupted and continued."""
 
 from __future__ import annotations
 
-import shutil
+import json
 import sys
+import uuid
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from acsar_gym.errors import AcsarError, CancelledError, ConfigError, WorldError
-from acsar_gym.registration import IDS
+from acsar_gym.errors import AcsarError, CancelledError, ConfigError
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.benchmark import plan, runner
-from acsar_gym.tools.benchmark.cells import CellResult, Store
-from acsar_gym.tools.benchmark.plan import BenchmarkJob, BenchmarkPlan
-from acsar_gym.tools.benchmark.scenes import SceneSet, find_sets
+from acsar_gym.tools.benchmark import agents, plan, runner
+from acsar_gym.tools.benchmark.agents import Agent, choose_agents
+from acsar_gym.tools.benchmark.plan import Cell, Plan
+from acsar_gym.tools.benchmark.scenes import choose_sets, find_sets
+from acsar_gym.tools.benchmark.table import CellResult
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
 
 ID = "acsar_gym/PointGoal-v0"
 SET = find_sets(ID)[0]
-AGENTS_OF_ID = {agent.name: agent for agent in plan.choose_agents([], [ID], None, 1)}
 
 
-def set_named(name: str) -> SceneSet:
-    ids = (f"acsar_gym/{each}" for each in IDS)
-    return next(some for each in ids for some in find_sets(each) if some.name == name)
+def choose(*names: str, sets: Any = (SET,), trained: Path | None = None) -> list[Agent]:
+    return choose_agents(names, sets, trained, seeds=2)
 
 
-def make_plan(*names: str, **changes: Any) -> BenchmarkPlan:
+def make_plan(*names: str, **changes: Any) -> Plan:
     """Two scenes of the open floor, planar."""
-    some = tuple(AGENTS_OF_ID[name] for name in names or ("turn_drive",))
-    return BenchmarkPlan(some, (SET,), **{"links": ("planar",), "count": 2, **changes})
+    options = {"links": ("planar",), "count": 2, **changes}
+    return Plan(tuple(choose(*(names or ("turn_drive",)))), (SET,), **options)
 
 
-def make_store(folder: Path) -> Store:
-    folder.mkdir()
-    return Store(folder)
+def episodes_of(results: Mapping[Cell, CellResult]) -> str:
+    """The cells without their times."""
+    return repr([(cell.about, result.episodes) for cell, result in results.items()])
 
 
 @pytest.mark.parametrize("name", ["turn_drive", "packaged"])
 def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(name: str, tmp_path: Path) -> None:
-    (result,) = runner.run_plan(make_plan(name), Store(tmp_path))
-    agent = AGENTS_OF_ID[name]
-    policy = runs.load_policy(agent.policy, trust=False, env=agent.env)
-    env = runs.make_env(policy, "planar", None, {})
-    episodes = list(run_episodes(env, policy, 2, SET.numbers[0]))
+    (result,) = runner.run_plan(make_plan(name), tmp_path).values()
+    (agent,) = choose(name)
+    env = runs.make_env(agent.policy, "planar", None, {})
+    episodes = list(run_episodes(env, agent.policy, 2, SET.numbers[0]))
     env.close()
     assert [episode.success for episode in result.episodes] == [True, True]
-    for figure in ("path", "energy"):
+    for figure in ("path", "energy", "time"):
         theirs = [getattr(episode, figure) for episode in episodes]
-        ours = [getattr(episode, figure) for episode in result.episodes]
-        assert ours == pytest.approx(theirs, rel=1e-5)
+        assert [getattr(episode, figure) for episode in result.episodes] == theirs
     assert all(0.0 < episode.score < 1.0 for episode in result.episodes)
 
 
-def test_an_interrupted_benchmark_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_benchmark_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Finished cells aren't driven again, and the result is that of one run."""
     wanted = make_plan(conditions=("nominal", "feedback-30", "dropped-2"))
-    whole = runner.run_plan(wanted, make_store(tmp_path / "whole"))
-    drive, conditions = runner.run_job, []
+    whole = runner.run_plan(wanted, runner.open_folder(wanted, tmp_path / "whole", None))
+    drive = runner.drive_cell
+    driven = []
 
-    def interrupted(job: BenchmarkJob) -> CellResult:
-        conditions.append(job.cell.condition)
-        if len(conditions) == 3:
+    def interrupted(job: runs.EpisodeJob) -> CellResult:
+        driven.append(job)
+        if len(driven) == 3:
             raise KeyboardInterrupt
         return drive(job)
 
-    monkeypatch.setattr(runner, "run_job", interrupted)
-    store = make_store(tmp_path / "cut")
-    with pytest.raises(CancelledError, match="2 of 3") as caught:
-        runner.run_plan(wanted, store)
+    monkeypatch.setattr(runner, "drive_cell", interrupted)
+    folder = runner.open_folder(wanted, tmp_path / "cut", None)
+    with pytest.raises(CancelledError, match=r"2 of 3 .* --resume") as caught:
+        runner.run_plan(wanted, folder)
     assert caught.value.exit_code == 130
-    again = runner.run_plan(wanted, store)
-    assert conditions == ["nominal", "feedback-30", "dropped-2", "dropped-2"]
-    assert untimed(again) == untimed(whole)
+    with (folder / runner.CELLS_FILE).open("a", encoding="utf-8") as file:
+        file.write('{"agent": "turn_dr')  # a full disk cut it
+    assert runner.open_folder(wanted, None, folder) == folder
+    assert episodes_of(runner.run_plan(wanted, folder)) == episodes_of(whole)
+    assert len(driven) == 4
+    assert runner.run_plan(wanted, folder).keys() == whole.keys()
+    assert len(driven) == 4
 
 
-def untimed(results: list[CellResult]) -> str:
-    """The cells without their times."""
-    return repr([(result.cell, result.episodes) for result in results])
+def test_each_benchmark_has_a_folder_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folders = [runner.open_folder(make_plan(), None, None) for _ in range(2)]
+    assert [str(folder) for folder in folders] == ["runs/benchmark/1", "runs/benchmark/2"]
+    with pytest.raises(ConfigError, match="isn't empty: name a new folder, or --resume"):
+        runner.open_folder(make_plan(), folders[0], None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "difference"),
+    [
+        ({"count": 3}, r"scenes\.PointGoal-v0 open/acsar\.count"),
+        ({"conditions": ("feedback-20",)}, r"conditions\.nominal"),
+        ({"links": ("bullet",)}, "links"),
+    ],
+)
+def test_another_plan_is_not_continued(
+    changes: dict[str, Any], difference: str, tmp_path: Path
+) -> None:
+    folder = runner.open_folder(make_plan(), tmp_path / "run", None)
+    with pytest.raises(ConfigError, match=f"--resume .*: {difference} has changed"):
+        runner.open_folder(make_plan(**changes), None, folder)
 
 
 def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
     wanted = make_plan("pure_pursuit", "turn_drive", count=1)
-    refused, driven = runner.run_plan(wanted, Store(tmp_path))
+    refused, driven = runner.run_plan(wanted, tmp_path).values()
     assert "needs a path" in refused.refused
     assert not refused.episodes
     assert len(driven.episodes) == 1
@@ -93,81 +119,23 @@ def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", list(plan.CONDITIONS))
 def test_every_condition_can_be_driven(name: str) -> None:
-    job = next(make_plan(conditions=(name,), count=1).jobs())
-    (episode,) = runner.run_job(job).episodes
+    (cell,) = make_plan(conditions=(name,), count=1).cells()
+    (episode,) = runner.drive_cell(cell.job).episodes
     assert episode.seed == SET.numbers[0]
 
 
-def test_randomization_is_refused_behind_the_port() -> None:
-    job = next(make_plan(links=("port",), conditions=("randomization-1",), count=1).jobs())
-    assert "physics don't vary" in runner.run_job(job).refused
+def test_privileged_agents_drive_only_if_they_are_named() -> None:
+    assert agents.PRIVILEGED not in {agent.kind for agent in choose()}
+    found = {agent.name: agent.kind for agent in choose("orca_true", "dwa")}
+    assert found == {"orca_true": "privileged", "dwa": "baseline"}
 
 
-@pytest.mark.parametrize("error", [ConfigError("disk full"), WorldError("no such folder")])
-def test_a_fault_of_this_machine_is_no_refusal(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: ConfigError
-) -> None:
-    """The same command tries again, and drives once it is mended."""
-
-    def fails(*args: Any, **options: Any) -> Any:
-        raise error
-
-    with monkeypatch.context() as patched:
-        patched.setattr(runs, "make_env", fails)
-        with pytest.raises(ConfigError, match=str(error)):
-            runner.run_plan(make_plan(), Store(tmp_path))
-    (part,) = runner.run_plan(make_plan(), Store(tmp_path))
-    assert not part.refused
-    assert len(part.episodes) == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("scenes", "name"), [("open/acsar", "turn_drive"), ("barn", "dwa")])
-def test_over_an_emulated_port(scenes: str, name: str) -> None:
-    """The emulator's log says what odometry can't: the path driven, and distances to obstacles."""
-    some = set_named(scenes)
-    agents = plan.choose_agents([name], [f"acsar_gym/{some.id}"], None, 1)
-    job = next(BenchmarkPlan(tuple(agents), (some,), ("port",), port_count=1).jobs())
-    (episode,) = runner.run_job(job).episodes
-    assert episode.success
-    assert episode.driven == pytest.approx(episode.path, rel=0.05)
-    assert 0.0 <= episode.odometry_error < 0.05 * episode.driven
-    assert (episode.clearance > 0.0) == (scenes == "barn")
-    assert 0.0 < episode.spl <= 1.0
-
-
-def test_what_knows_the_truth_is_privileged_and_drives_where_it_is_named() -> None:
-    assert plan.PRIVILEGED not in {agent.kind for agent in AGENTS_OF_ID.values()}
-    found = plan.choose_agents(["orca_true", "dwa"], [ID], None, 1)
-    assert {agent.name: agent.kind for agent in found} == {
-        "orca_true": "privileged",
-        "dwa": "baseline",
-    }
-
-
-def test_what_knows_the_truth_is_refused_behind_the_port() -> None:
-    agents = plan.choose_agents(["orca_true"], [ID], None, 1)
-    (job,) = BenchmarkPlan(tuple(agents), (SET,), ("port",), port_count=1).jobs()
-    assert runner.run_job(job).refused.startswith("orca_true: knows what only a simulator does")
-
-
-def test_what_is_made_for_movers_drives_unnamed_only_where_the_robot_senses_them() -> None:
-    ids = ["acsar_gym/ObstacleGoal-v1", "acsar_gym/Crowd-v0"]
-    found = {(agent.name, agent.id) for agent in plan.choose_agents([], ids, None, 1)}
+def test_agents_for_movers_drive_unnamed_only_if_the_robot_senses_them() -> None:
+    sets = choose_sets([], ["clutter/acsar", "crowd/acsar"])
+    found = {(agent.name, agent.id) for agent in choose(sets=sets)}
     assert {("dwa", "ObstacleGoal-v1"), ("dwa", "Crowd-v0"), ("orca", "Crowd-v0")} < found
     assert ("orca", "ObstacleGoal-v1") not in found
-    assert plan.choose_agents(["orca"], ids[:1], None, 1)
-
-
-def test_trained_seeds_are_found_in_a_folder(tmp_path: Path) -> None:
-    policy = (AGENTS / "policies" / "point_goal.onnx").read_bytes()
-    for seed in ("0", "seed-3", "1"):
-        (tmp_path / "ppo" / seed).mkdir(parents=True)
-        (tmp_path / "ppo" / seed / "policy.onnx").write_bytes(policy)
-    found = plan.choose_agents(["ppo"], [ID], tmp_path, 2)
-    told = [(each.name, each.training_seed, each.env) for each in found]
-    assert told == [("ppo", 0, ID), ("ppo", 1, ID)]
-    assert not plan.choose_agents(["ppo"], ["acsar_gym/Barn-v1"], tmp_path, 2)
+    assert choose("orca", sets=sets[:1])
 
 
 PLANNERS = """
@@ -188,66 +156,72 @@ class Own(Planner):
 """
 
 
-def test_planners_of_ones_own_drive_beside_packaged_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """The name of a new module in the current folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    name = f"mine_{tmp_path.name}"
+    name = f"planners_{uuid.uuid4().hex}"
     Path(f"{name}.py").write_text(PLANNERS)
-    shutil.copy(AGENTS / "policies" / "point_goal.onnx", "mine.onnx")
-    other = "acsar_gym/PathFollow-v0"
-    names = [
-        "packaged",
-        "turn_drive",
-        f"{name}:Planner",
-        f"{name}.py:act",
-        f"{name}:Own",
-        "mine.onnx",
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return name
+
+
+def test_agents_of_a_user_drive_beside_others(module: str, tmp_path: Path) -> None:
+    sets = [SET, find_sets("acsar_gym/PathFollow-v0")[0]]
+    Path("mine.onnx").write_bytes((AGENTS / "policies" / "point_goal.onnx").read_bytes())
+    found = [*choose(f"{module}:Planner", f"{module}.py:act", "turn_drive", sets=sets)]
+    assert [(agent.name, agent.id) for agent in found] == [
+        *(("Planner", name) for name in ("PointGoal-v0", "PathFollow-v0")),
+        *((module, name) for name in ("PointGoal-v0", "PathFollow-v0")),
+        *(("turn_drive", name) for name in ("PointGoal-v0", "PathFollow-v0")),
     ]
-    found = plan.choose_agents(names, [ID, other], None, 1)
-    told = [(each.name, each.kind, each.id) for each in found]
-    assert sorted(told) == sorted(
-        [
-            ("Own", "learned", "PointGoal-v0"),
-            ("Planner", "learned", "PathFollow-v0"),
-            ("Planner", "learned", "PointGoal-v0"),
-            (name, "learned", "PathFollow-v0"),
-            (name, "learned", "PointGoal-v0"),
-            ("mine", "learned", "PointGoal-v0"),
-            ("packaged", "learned", "PathFollow-v0"),
-            ("packaged", "learned", "PointGoal-v0"),
-            ("turn_drive", "baseline", "PathFollow-v0"),
-            ("turn_drive", "baseline", "PointGoal-v0"),
-        ]
-    )
-    some = [each for each in found if each.name in ("Planner", "packaged") and each.env == ID]
-    cells = runner.run_plan(
-        BenchmarkPlan(tuple(some), (SET,), ("planar",), count=2), make_store(tmp_path / "out")
-    )
-    assert [(result.cell.agent, len(result.episodes)) for result in cells] == [
-        ("packaged", 2),
-        ("Planner", 2),
-    ]
+    wanted = make_plan("mine.onnx", f"{module}:Own", f"{module}.py:act", "packaged")
+    results = runner.run_plan(wanted, tmp_path)
+    assert [len(result.episodes) for result in results.values()] == [2, 2, 2, 2]
+
+
+def test_the_source_of_an_agent_and_what_it_imports_count(module: str, tmp_path: Path) -> None:
+    """A benchmark whose agent has changed isn't continued."""
+    source = Path(f"{module}.py").read_text()
+    Path(f"{module}_gain.py").write_text("GAIN = 0.8\n")
+    Path(f"{module}.py").write_text(f"from {module}_gain import GAIN\n{source}")
+    folder = runner.open_folder(make_plan(f"{module}:Planner"), tmp_path / "run", None)
+    runner.open_folder(make_plan(f"{module}:Planner"), None, folder)
+    Path(f"{module}_gain.py").write_text("GAIN = 0.9\n")
+    with pytest.raises(ConfigError, match=r"agents\.Planner has changed"):
+        runner.open_folder(make_plan(f"{module}:Planner"), None, folder)
+    sys.modules.pop(module)
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    ("names", "message"),
     [
         (["none.onnx"], "none.onnx"),
         (["no_such_module:Planner"], "no_such_module"),
-        (["barn.onnx"], "--agents barn.onnx: drives on Barn-v1: name it with --env, too"),
+        (["barn.onnx"], "--agents barn.onnx: has no policy for PointGoal-v0 of set open/acsar"),
         (["turn_drive.py:act", "turn_drive"], "2 of them are called 'turn_drive'"),
         (["turn_drve"], "--agents 'turn_drve'; did you mean 'turn_drive'"),
     ],
 )
 def test_agents_that_cannot_be_compared_are_one_line(
-    names: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    names: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    shutil.copy(AGENTS / "policies" / "barn.onnx", "barn.onnx")
+    Path("barn.onnx").write_bytes((AGENTS / "policies" / "barn.onnx").read_bytes())
     Path("turn_drive.py").write_text(PLANNERS)
     with pytest.raises(AcsarError) as error:
-        plan.choose_agents(names, [ID], None, 1)
-    assert said in str(error.value)
+        choose(*names)
+    assert message in str(error.value)
     assert "\n" not in str(error.value)
+    assert error.value.exit_code == 2
+
+
+def test_two_processes_give_the_results_of_one(module: str, tmp_path: Path) -> None:
+    """The same numbers, of a policy in a file, a planner and code of a user."""
+    wanted = make_plan("packaged", "turn_drive", f"{module}.py:act")
+    one = runner.run_plan(wanted, runner.open_folder(wanted, tmp_path / "one", None))
+    folder = runner.open_folder(wanted, tmp_path / "two", None)
+    two = runner.run_plan(wanted, folder, workers=2)
+    assert episodes_of(one) == episodes_of(two)
+    lines = (folder / runner.CELLS_FILE).read_text().splitlines()
+    assert len([json.loads(line) for line in lines]) == 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,9 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
 from acsar_gym.tools.benchmark import SCENES, SceneSet, scenes
+from acsar_gym.tools.evaluation.provenance import hash_world
 from acsar_gym.worlds import Region, World, files
 from acsar_gym.worlds.movers import walk
-
-
-@pytest.mark.parametrize("env_id", list(SCENES))
-def test_no_scene_is_in_two_sets(env_id: str) -> None:
-    sets = SCENES[env_id]
-    for one, other in combinations((sets.train, sets.validation, sets.test), 2):
-        assert one.numbers[-1] < other.numbers[0] or other.numbers[-1] < one.numbers[0]
 
 
 @pytest.mark.parametrize(
@@ -79,14 +72,14 @@ def test_the_sets_that_are_driven() -> None:
     [
         ((), ["barn", "barn-fast", "barn-husky"]),
         (("barn",), ["barn"]),
-        (("barn-fast", "barn"), ["barn", "barn-fast"]),
+        (("barn-fast", "barn"), ["barn-fast", "barn"]),
         (("clutter",), ["clutter/acsar", "clutter/jackal", "clutter/husky"]),
         (("clutter/husky",), ["clutter/husky"]),
     ],
 )
 def test_sets_are_chosen_by_name(names: tuple[str, ...], chosen: list[str]) -> None:
-    env_id = "acsar_gym/ObstacleGoal-v1" if "clutter" in chosen[0] else "acsar_gym/Barn-v1"
-    found = scenes.choose_sets(scenes.find_sets(env_id), names)
+    envs = [] if names else ["acsar_gym/Barn-v1"]
+    found = scenes.choose_sets(envs, names)
     assert [some.name for some in found if "drawn:" not in some.robot] == chosen
 
 
@@ -107,7 +100,7 @@ def test_robots_of_ones_own_drive_the_same_sets(tmp_path: Path) -> None:
 
 
 def test_another_version_of_the_scenes_is_refused() -> None:
-    changed = SceneSet("PathFollow-v0", "test", "smooth_path", range(100_001, 100_101))
+    changed = SceneSet("acsar_gym/PathFollow-v0", "test", "smooth_path", range(100_001, 100_101))
     with pytest.raises(ConfigError, match="PathFollow-v0 test") as caught:
         changed.check(1)
     assert "\n" not in str(caught.value)
@@ -122,11 +115,11 @@ def test_the_hash_is_of_geometry_start_and_goal() -> None:
         World(segments=np.array([[1.0, 0.5, 0.1, 0.0]]), goal=Region(3.0, 0.0)),
     ]
     others += [replace(world, movers=[walk([[0.0, y], [4.0, y]])]) for y in (1.0, 1.0001)]
-    assert len({scenes.hash_world(other) for other in others}) == len(others)
-    own = scenes.hash_world(world)
-    assert all(scenes.hash_world(other) != own for other in others)
+    assert len({hash_world(other) for other in others}) == len(others)
+    own = hash_world(world)
+    assert all(hash_world(other) != own for other in others)
     same = World(np.array([[1.0 + 1e-12, 0.5, 0.1]]), goal=Region(3.0, -1e-12), name="other")
-    assert scenes.hash_world(same) == own
+    assert hash_world(same) == own
 
 
 def test_published_worlds_are_a_set_of_their_own(tmp_path: Path) -> None:

@@ -55,11 +55,11 @@ def test_results_survive_a_full_disk(
     assert_one_line(error, "tape.mcap: the recording isn't whole")
 
 
-@pytest.mark.parametrize("command", [(*RUN, "--policy"), ("evaluate", "--policy"), ("export",)])
+@pytest.mark.parametrize("command", [(*RUN, "--policy"), ("evaluate", "--policy"), ("policy",)])
 def test_only_a_trusted_zip_runs(command: tuple[str, ...], tmp_path: Path, call: Call) -> None:
     model, marker, out = save(tmp_path / "model.zip"), tmp_path / "marker", tmp_path / "out.onnx"
     bad = poison(model, "data", marker, tmp_path / "bad.zip")
-    more = [out] if command == ("export",) else []
+    more = ["--out", out] if command == ("policy",) else []
     code, _, error = call(*command, bad, *more)
     assert code == 2
     assert_one_line(error, f"{bad}: a stable-baselines3 zip can run any code")
@@ -174,7 +174,7 @@ def test_a_script_for_each_shell_knows_every_command(call: Call, shell: str) -> 
     code, script, error = call("completion", shell)
     assert (code, error) == (0, "")
     assert [name for name in COMMANDS if name.split()[-1] not in script] == []
-    assert "learning-rate" in script  # of train, which parses its own options
+    assert "learning-rate" in script
     assert "difficulty" in script  # of worlds show
 
 

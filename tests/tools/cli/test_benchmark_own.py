@@ -128,6 +128,13 @@ def test_its_benchmark(module: str, call: Call, tmp_path: Path) -> None:
     assert (row["id"], row["scenes"], row["success_rate"]) == (f"{module}/Park-v0", "fast", 1.0)
     assert 4.0 < row["score"] < 5.0
 
+    source = Path(f"{module}.py").read_text()
+    Path(f"{module}.py").write_text(source.replace("0.3", "0.2"))
+    again = ("--agents", f"{module}:Planner", "--links", "planar", "--scenes", "2")
+    code, _, error = call("benchmark", "--env", env_id, *again, "--resume", tmp_path / "run")
+    assert code == 2
+    assert "has changed since the benchmark was started" in error
+
 
 def test_a_score_that_no_task_tells_is_an_error(module: str, call: Call, tmp_path: Path) -> None:
     small = ("--links", "planar", "--scenes", "1", "--out", tmp_path / "run")

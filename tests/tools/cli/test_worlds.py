@@ -8,8 +8,6 @@ from pathlib import Path
 import pytest
 from cli_tools import Call, assert_one_line
 
-from acsar_gym.tools.training import seeds
-from acsar_gym.tools.training.plan import TrainingOptions, TrainingPlan
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.files import load_world
 
@@ -107,29 +105,3 @@ def test_these_options_are_for_worlds_of_files(option: str, call: Call) -> None:
     code, _, error = call("evaluate", "--link", "planar", option, "1,2")
     assert code == 2
     assert_one_line(error, f"{option} is for a world of a file: name one file, too")
-
-
-def test_a_training_takes_them_too(room: str, tmp_path: Path) -> None:
-    options = TrainingOptions(
-        env="obstacle_goal",
-        worlds=(room,),
-        start="-1,-1,0.5",
-        goal="1.2,1",
-        robots=2,
-        threads=1,
-        out=tmp_path / "out",
-        seeds="1",
-        address="nowhere:1",
-    )
-    batch = TrainingPlan.of(options).make_training_batch()
-    assert batch.pool is not None
-    world = batch.pool[0]
-    batch.close()
-    assert (world.start, world.goal) == (Region(-1.0, -1.0, 0.0, 0.5), Region(1.2, 1.0))
-    job = seeds.make_job(options, 1, tmp_path / "out")
-    ((name, sent, content),) = job.sent or ()
-    assert name == "worlds", "another machine has no picture of the map"
-    assert job.options.start is job.options.goal is None
-    (tmp_path / sent).write_bytes(content)
-    there = load_world(tmp_path / sent)
-    assert (there.start, there.segments.tolist()) == (world.start, world.segments.tolist())

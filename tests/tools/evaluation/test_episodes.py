@@ -19,7 +19,6 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.tools.evaluation.episode import (
     Episode,
     odometry_errors,
-    read_person_contact,
 )
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import describe_episodes, summarise_episodes
@@ -41,19 +40,6 @@ def test_odometry_errors_come_from_the_emulators_log(tmp_path: Path) -> None:
     log.write_text('{"t": 1.0, "rx": ""}\n')
     with pytest.raises(ConfigError, match="log"):
         odometry_errors([ended], log)
-
-
-def test_who_ran_into_whom_comes_from_the_emulators_log(tmp_path: Path) -> None:
-    log, pose = tmp_path / "log.jsonl", [0.0, 0.0, 0.0]
-    hits = [(9.0, 1.0), (11.0, None), (12.0, 2.0), (12.5, 1.0), (14.5, 1.0)]
-    events = [{"t": t, "pose": pose} | ({"hit": hit} if hit else {}) for t, hit in hits]
-    log.write_text("\n".join(map(json.dumps, events)))
-    assert read_person_contact(log, 10.0, 14.0) == (12.0, 2.0)  # the first within the episode
-    assert read_person_contact(log, 12.0, 14.0) == (12.5, 1.0)
-    assert read_person_contact(log, 10.0, 11.5) == (11.5, 0.0)
-    log.write_text('{"hit": 1.0}\n')
-    with pytest.raises(ConfigError, match="isn't a log of"):
-        read_person_contact(log, 10.0, 14.0)
 
 
 def test_an_episode_that_runs_out_of_time_leaves_the_robot_stopping() -> None:
@@ -115,16 +101,6 @@ def test_an_episode_with_many_late_ticks_is_not_valid(shared_device: str) -> Non
     allowed = run(shared_device, slow, late_share=1.0)
     assert allowed.valid
     assert allowed.late_ticks > 0
-
-
-def test_timing_is_stored_as_json_without_nan(shared_device: str) -> None:
-    timing = as_json(run(shared_device, max_episode_steps=10))["timing"]
-    assert timing["lateness"]["ticks"] == 99
-    assert timing["lateness"]["worst"] >= timing["lateness"]["p99"] >= timing["lateness"]["p50"]
-    assert timing["worst_feedback_age"] >= 0.0
-    assert min(timing["round_trips"]) > 0.0
-    nothing = as_json(run(shared_device, lambda _: np.zeros(2, np.float32)))["timing"]
-    assert nothing["round_trips"] == []
 
 
 def test_a_fault_is_told_and_makes_the_episode_invalid() -> None:

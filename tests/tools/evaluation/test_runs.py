@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import pickle
 import re
@@ -15,11 +14,13 @@ import gymnasium
 import numpy as np
 import pytest
 
+from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.evaluation import provenance, runs
-from acsar_gym.tools.evaluation.runs import EvaluationRun, PortablePolicy
-from acsar_gym.tools.jobs import completed
+from acsar_gym.tools.evaluation.episode import Resets
+from acsar_gym.tools.evaluation.runs import EpisodeJob, EvaluationRun, SentPolicy
+from acsar_gym.tools.jobs import run_jobs
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.movers import walk
@@ -63,12 +64,6 @@ def test_policies_are_evaluated_in_the_test_split(env_id: str, asked: Any, world
     inner: Any = env.unwrapped
     assert str(inner.pool) == worlds
     env.close()
-
-
-@pytest.mark.parametrize(("link", "worlds"), [("planar", "clutter 0 to 9"), ("ros2", "none")])
-def test_a_real_robot_is_in_no_world(link: str, worlds: str) -> None:
-    env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", link=link, worlds="clutter:10")
-    assert runs.describe_worlds(env.unwrapped).startswith(worlds)
 
 
 def test_an_evaluation_says_what_it_was_measured_with() -> None:
@@ -116,34 +111,12 @@ def test_hashes_tell_worlds_and_robots_apart(tmp_path: Path) -> None:
     assert other["robot"] != headers[0]["robot"]
 
 
-@pytest.mark.parametrize(
-    ("name", "source", "function"),
-    [
-        ("policy.onnx", POINT_GOAL.read_bytes(), None),
-        ("mine.py", b"def act(observation):\n    return 0.0, 0.0\n", "act"),
-    ],
-    ids=["onnx", "python"],
-)
-def test_the_hash_of_a_policy_is_that_of_what_was_read(
-    name: str, source: bytes, function: str | None, tmp_path: Path
-) -> None:
-    """Though the file is another one by now, or gone."""
-    file = tmp_path / name
-    file.write_bytes(source)
-    path = f"{file}:{function}" if function else str(file)
-    policy = runs.load_policy(path, trust=False, env="point_goal")
-    file.write_bytes(b"of a later training")
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
-    told = provenance.make_header(env, policy, "planar", range(1), {})["policy"]
-    assert (told["function"], told["sha256"]) == (function, hashlib.sha256(source).hexdigest())
-
-
 def test_worlds_in_order_have_their_own_numbers() -> None:
-    run = drive(2, worlds="open:1250-1251", how={"in_order": True})
+    run = drive(2, worlds="open:1250-1251", in_order=True)
     assert [episode.world for episode in run.results] == [1250, 1251]
-    assert run.header["options"] == {"in_order": True}
+    assert run.header["options"] == {"in_order": True, "late_share": 0.01}
     with pytest.raises(ConfigError, match="3 episodes"):
-        drive(3, worlds="open:1250-1251", how={"in_order": True})
+        drive(3, worlds="open:1250-1251", in_order=True)
 
 
 ACT = "def act(observation):\n    return 0.5 + 0.1 * float(observation[0]), 0.3\n"
@@ -171,11 +144,11 @@ def test_two_processes_give_the_results_of_one(
 ) -> None:
     """Where they aren't started, the jobs are pickled all the same."""
 
-    def here(function: Any, jobs: list[Any], **_: Any) -> Any:
-        return completed(function, [pickle.loads(pickle.dumps(job)) for job in jobs])  # noqa: S301
+    def here(function: Any, jobs: list[Any], *_: Any) -> Any:
+        return run_jobs(function, [pickle.loads(pickle.dumps(job)) for job in jobs])  # noqa: S301
 
     if not started:
-        monkeypatch.setattr(runs, "completed", here)
+        monkeypatch.setattr(runs, "run_jobs", here)
     one, two = both(policy, 4, worlds="open", difficulty=0.3)
     assert repr(one.results) == repr(two.results)
     assert one.worlds == two.worlds
@@ -190,35 +163,30 @@ def test_one_robot_has_one_process(policy: FilePolicy) -> None:
         runs.evaluate_policy(policy, "planar", None, range(4), workers=2, record=object())
 
 
-def test_a_policy_is_loaded_from_what_was_sent_where_its_file_is_another(
-    policy: FilePolicy,
-) -> None:
-    sent = PortablePolicy.of(policy)
-    policy.path.write_text("raise SystemExit('never run')", encoding="utf-8")
+def test_a_policy_that_has_changed_is_not_loaded_again(policy: FilePolicy) -> None:
+    sent = pickle.loads(pickle.dumps(SentPolicy.of(policy)))  # noqa: S301 - made here
     loaded = sent.load()
-    assert loaded.sha256 == policy.sha256
-    assert loaded.path != policy.path
-    assert (loaded.env_id, loaded.function) == (policy.env_id, "act")
-    with pytest.raises(PolicyError, match=str(policy.path)):
-        PortablePolicy.of(policy)  # it changed after it was loaded
+    assert (loaded.sha256, loaded.env_id, loaded.function) == (policy.sha256, policy.env_id, "act")
+    policy.path.write_text("def act(observation):\n    return 0.0, 0.0\n", encoding="utf-8")
+    runs._load_code.cache_clear()
+    with pytest.raises(PolicyError, match=f"{policy.path}: changed since it was loaded"):
+        sent.load()
 
 
 @pytest.mark.parametrize(
-    ("name", "count", "workers", "sizes"),
+    ("name", "count", "workers", "size"),
     [
-        ("turn_drive", 3, 2, [1, 1, 1]),
-        ("turn_drive", 80, 2, [10] * 8),
-        ("turn_drive", 41, 2, [5] * 8 + [1]),
-        ("turn_drive", 25, None, [10, 10, 5]),
-        ("point_goal", 400, 2, [50] * 8),  # is driven as a batch
+        ("turn_drive", 3, 2, 1),
+        ("turn_drive", 80, 2, 10),
+        ("turn_drive", 41, 2, 5),
+        ("turn_drive", 25, None, 10),
+        ("point_goal", 400, 2, 50),  # is driven as a batch
     ],
 )
-def test_shards_are_small_enough_for_every_worker(
-    name: str, count: int, workers: int | None, sizes: list[int]
+def test_parts_are_small_enough_for_every_worker(
+    name: str, count: int, workers: int | None, size: int
 ) -> None:
-    policy = runs.load_policy(name, trust=False, env="point_goal")
-    seeds = range(100, 100 + count)
-    shards = runs._split_evaluation(policy, "planar", None, seeds, {}, workers, {})
-    assert [len(shard.seeds) for shard in shards] == sizes
-    assert [seed for shard in shards for seed in shard.seeds] == list(seeds)
-    assert [shard.skip for shard in shards] == [shard.seeds[0] - 100 for shard in shards]
+    policy = SentPolicy.of(runs.load_policy(name, trust=False, env="point_goal"))
+    resets: Resets = [(seed, {}) for seed in range(count)]
+    job = EpisodeJob(policy, "planar", RobotConfig(), {}, resets)
+    assert runs.choose_part_size(job, workers) == size

@@ -94,7 +94,9 @@ def test_what_does_not_fit_is_one_line(options: dict[str, Any], said: str, tmp_p
 def test_weights_that_are_not_finite_are_refused(broken: float, tmp_path: Path) -> None:
     module = network()
     list(module.parameters())[-1].data.flatten()[0] = broken
-    with pytest.raises(PolicyError, match=r"weights network\.\d\.(weight|bias) hold NaN") as raised:
+    with pytest.raises(
+        PolicyError, match=r"weights network\.\d\.(weight|bias) contain NaN"
+    ) as raised:
         save(module, "point_goal", tmp_path / "p.onnx")
     assert "\n" not in str(raised.value)
     assert not (tmp_path / "p.onnx").exists()
@@ -106,13 +108,12 @@ def test_a_file_keeps_what_the_envs_arguments_scale(tmp_path: Path) -> None:
     far: dict[str, Any] = {"goal_distance": (0.5, 10.0)}
     save(network(), "point_goal", path, policy_rate=20.0, **far)
     policy = OnnxPolicy(path)
-    assert policy.bundle is not None
-    assert (policy.scale, policy.bundle.rates.policy) == (10.0, 20.0)
+    assert (policy.scale, policy.document.rate) == (10.0, 20.0)
     with pytest.raises(PolicyError, match=r"scale is 10 in the file and 3 in this .*: give"):
         runs.make_env(policy, "planar", None, {})
     env: Any = runs.make_env(policy, "planar", None, far | {"policy_rate": 20.0}).unwrapped
     policy.check(env.task, env.sensors, policy_rate=20.0)
-    with pytest.raises(PolicyError, match=r"rates.policy is 20 in the file and 10 in this .*: giv"):
+    with pytest.raises(PolicyError, match=r"rate is 20 in the file and 10 in this .*: giv"):
         policy.check(env.task, env.sensors, policy_rate=10.0)
     packaged = OnnxPolicy("point_goal")
     runs.make_env(packaged, "planar", None, far | {"distance_scale": 3.0}).close()

@@ -1,26 +1,33 @@
-"""From a stable-baselines3 model to a file that drives."""
+"""Policy files: good ones, recurrent ones, and those that an attacker would send."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import gymnasium
+import numpy as np
 import pytest
-from onnx_tools import ENV_ID, GOOD, Maker, relabelled
+from onnx_tools import ENV_ID, GOOD, HOSTILE, Maker, counting, document_of, relabelled
 
-from acsar_gym.errors import PolicyError
+from acsar_gym.errors import ConfigError, PolicyError
+from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import summarise_episodes
-from acsar_gym.tools.policies import OnnxPolicy, save
+from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy, save
+from acsar_gym.tools.policies.onnx import MAX_POLICY_BYTES
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
 
 @pytest.mark.parametrize("link", ["bullet", "planar"])
-def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
+def test_the_packaged_policy_reaches_its_goals(link: str) -> None:
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
     summary = summarise_episodes(list(run_episodes(env, OnnxPolicy("point_goal"), 20, seed=500)))
     env.close()
@@ -29,32 +36,135 @@ def test_the_policy_that_comes_along_reaches_its_goals(link: str) -> None:
     assert summary.late_ticks == 0
 
 
-def test_driving_needs_no_torch() -> None:
-    code = (
-        "import sys, numpy as np; from acsar_gym.tools.policies import OnnxPolicy;"
-        "OnnxPolicy('point_goal')(np.zeros(7, np.float32));"
-        "sys.exit('torch' in sys.modules or 'pybullet' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
+def test_a_policy_is_pickled_with_its_content(tmp_path: Path) -> None:
+    path = counting(tmp_path / "p.onnx")
+    policy = OnnxPolicy(path)
+    path.unlink()
+    copy = pickle.loads(pickle.dumps(policy))  # noqa: S301 - of this test
+    zeros = np.zeros(7, np.float32)
+    assert (copy(zeros) == policy(zeros)).all()
+    assert copy.about == policy.about
+    packaged = pickle.loads(pickle.dumps(OnnxPolicy("point_goal")))  # noqa: S301
+    assert packaged.act_many(zeros[None]).shape == (1, 2)
 
 
-def test_a_file_cannot_have_a_module_imported(tmp_path: Path) -> None:
-    path = relabelled(tmp_path / "module.onnx", env__id=f"some_module:{ENV_ID}")
-    with pytest.raises(PolicyError, match=r"env\.id = "):
-        OnnxPolicy(path)
+def test_a_recurrent_policy_keeps_its_state_until_the_reset(tmp_path: Path) -> None:
+    policy = OnnxPolicy(counting(tmp_path / "p.onnx"))
+    zeros = np.zeros(7, np.float32)
+    for _ in range(2):
+        policy.reset()
+        turns = [float(policy(zeros)[1]) for _ in range(3)]
+        assert turns == pytest.approx([0.0, 0.1, 0.2])
+    done = runs.evaluate_policy(policy, "planar", None, range(2))
+    assert [episode.length > 0 for episode in done.results] == [True, True]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"shape": ("n", 2)},
+        {"shape": (50_000, 50_000)},
+        {"dtype": 7},
+        {"outputs": 0},
+        {"outputs": 2},
+    ],
+    ids=["free", "huge", "integers", "lost", "too many"],
+)
+def test_a_state_that_cannot_be_kept_is_one_line(options: dict[str, Any], tmp_path: Path) -> None:
+    with pytest.raises(PolicyError, match=r"p\.onnx: "):
+        OnnxPolicy(counting(tmp_path / "p.onnx", **options))
+
+
+def refused(path: Path) -> str:
+    """The one line with which a policy file is refused."""
+    with pytest.raises(PolicyError) as raised:
+        runs.make_env(runs.load_policy(str(path), trust=False), "planar", None, {})
+    message = str(raised.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    assert len(message) < 450
+    return message
+
+
+@pytest.mark.parametrize("make", HOSTILE, ids=lambda make: make.__name__)
+def test_a_hostile_file_is_one_line(
+    make: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("weights.bin").write_bytes(bytes(56))  # what external data would be taken from
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(make())
+    refused(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"PK", "isn't an ONNX file but a zip"),
+        (pickle.dumps([1]), "isn't a whole ONNX file"),
+        (b"", "isn't a whole ONNX file"),
+        (GOOD.read_bytes()[:900], "isn't a whole ONNX file"),
+    ],
+    ids=["zip", "pickle", "empty", "cut"],
+)
+def test_what_is_no_onnx_file_is_named(content: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "policy.onnx"
+    path.write_bytes(content)
+    assert refused(path).startswith(f"{path}: {message}")
+
+
+def test_only_a_model_needs_to_be_trusted(tmp_path: Path) -> None:
+    path = tmp_path / "model.zip"
+    for names, trust, message in (
+        (["data"], True, "isn't a zip of a stable-baselines3 model"),
+        (["data", "policy.pth"], False, "pass --trust"),
+    ):
+        with zipfile.ZipFile(path, "w") as archive:
+            for name in names:
+                archive.writestr(name, "{}")
+        with pytest.raises(PolicyError, match=message):
+            ZipPolicy(path, trust=trust)
+
+
+def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
+    pipe, large = tmp_path / "pipe.onnx", tmp_path / "large.onnx"
+    os.mkfifo(pipe)
+    with large.open("wb") as file:
+        file.truncate(MAX_POLICY_BYTES + 1)
+    assert "regular file" in refused(pipe)
+    assert "larger than 32 MB" in refused(large)
+    assert "regular file" in refused(Path("/dev/zero"))
+
+
+@pytest.mark.parametrize("env_id", ["GymV21Environment-v0", "phys2d/CartPole-v1", "CartPole-v1"])
+def test_a_file_chooses_only_among_the_environments_of_this_package(
+    env_id: str, tmp_path: Path
+) -> None:
+    path = relabelled(tmp_path / "other.onnx", env=env_id)
+    assert "--env" in refused(path)
+    policy = runs.load_policy(str(path), trust=False, env=ENV_ID)
+    runs.make_env(policy, "planar", None, {}).close()
+    with pytest.raises(ConfigError, match="no_such_module"):
+        runs.load_policy(str(path), trust=False, env="no_such_module:x-v0")
+    assert "policy.env = " in refused(relabelled(path, env=f"some_module:{ENV_ID}"))
+
+
+def test_the_text_of_a_file_cannot_steer_a_terminal(tmp_path: Path) -> None:
+    lines = [f"\x1b]0;{line}\x07" for line in document_of().observation]
+    for values in ({"env": "\x1b[2Jx"}, {"observation": lines}):
+        assert "\x1b" not in refused(relabelled(tmp_path / "escape.onnx", **values))
 
 
 def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:
     make = Maker()
     make.dense("observation", 7)
     path = tmp_path / "renamed.onnx"
-    in_the_graph = b"\n\x0bobservation"  # a string of protobuf's; the bundle is JSON
+    in_the_graph = b"\n\x0bobservation"  # a string of protobuf's; the document is JSON
     path.write_bytes(make.bytes().replace(in_the_graph, b"\n\x0bobservatiom"))
-    with pytest.raises(PolicyError, match="must map 'observation' to 'action'"):
-        OnnxPolicy(path)
+    assert "must map 'observation' to 'action'" in refused(path)
 
 
-def test_the_file_names_no_path_of_the_machine_that_trained(tmp_path: Path) -> None:
+def test_the_file_contains_no_path_of_the_machine_that_trained(tmp_path: Path) -> None:
     import torch
 
     save(torch.nn.Linear(7, 2), "point_goal", tmp_path / "policy.onnx")
@@ -64,10 +174,16 @@ def test_the_file_names_no_path_of_the_machine_that_trained(tmp_path: Path) -> N
         assert str(Path.home()).encode() not in content
 
 
-def test_onnxruntime_keeps_no_id_of_this_computer(tmp_path: Path) -> None:
+def test_driving_needs_no_torch_and_onnxruntime_keeps_no_id_of_this_computer(
+    tmp_path: Path,
+) -> None:
     silent = ("CI", "GITHUB_ACTIONS", "TF_BUILD", "ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME")
     user = {name: value for name, value in os.environ.items() if name not in silent}
-    decide = "from acsar_gym.tools.policies import OnnxPolicy; OnnxPolicy('point_goal').reset()"
-    command = [sys.executable, "-c", decide]
+    code = (
+        "import sys, numpy as np; from acsar_gym.tools.policies import OnnxPolicy;"
+        "OnnxPolicy('point_goal')(np.zeros(7, np.float32));"
+        "sys.exit('torch' in sys.modules or 'pybullet' in sys.modules)"
+    )
+    command = [sys.executable, "-c", code]
     subprocess.run(command, check=True, env=user | {"HOME": str(tmp_path)}, timeout=120)
     assert list(tmp_path.rglob("*")) == []

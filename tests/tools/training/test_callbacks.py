@@ -19,7 +19,7 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
     from stable_baselines3.common.logger import configure
 
     from acsar_gym.tools.policies.sb3 import BatchVecEnv
-    from acsar_gym.tools.training import callbacks
+    from acsar_gym.tools.training import callbacks, held_out
 
     batches = [
         PointGoalVectorEnv(
@@ -28,7 +28,7 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
         for robots, mode in ((ROBOTS, "SameStep"), (4, "NextStep"))
     ]
     total = STEPS * ROBOTS * 4
-    scores = callbacks.HeldOutEvaluation(batches[1], total, 16)
+    scores = callbacks.HeldOutScores(batches[1], held_out.Curve(), total // 16)
     watching: list[BaseCallback] = [callbacks.WholeCohorts(LIMIT), scores]
     watching.append(callbacks.TrainingProgress(total, scores))
     model = PPO("MlpPolicy", BatchVecEnv(batches[0]), n_steps=STEPS, batch_size=256, n_epochs=1)

@@ -1,7 +1,10 @@
-"""The folder of a training: a second one, a resumed one, or two at once lose and mix nothing."""
+"""The folder of a training: new, resumed, of several seeds, and on a full disk."""
 
 from __future__ import annotations
 
+import contextlib
+import csv
+import gc
 import hashlib
 import shutil
 import signal
@@ -9,19 +12,27 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
+from disk_tools import full_disk
+from training_tools import tiny
 
 from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.training import checkpoints, record, seeds
+from acsar_gym.tools.policies import OnnxPolicy
+from acsar_gym.tools.training import folders
+from acsar_gym.tools.training.options import TrainingOptions
+from acsar_gym.tools.training.run import train
+from acsar_gym.tools.training.seeds import parse_seeds, train_seeds
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
-TINY = ["--robots", "8", "--no-progress", "--threads", "1", "--steps", "256"]
-PROGRAM_TIMEOUT = 300.0
-"""For a training in another process on a busy machine [s]."""
+STEPS = 2048
+"""Eight rollouts."""
+PATIENCE = 300.0
+"""For a subprocess on a busy machine [s]."""
 
 
 def digest(out: Path) -> dict[str, str]:
@@ -30,104 +41,209 @@ def digest(out: Path) -> dict[str, str]:
     return {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
+def curve(folder: Path) -> list[dict[str, str]]:
+    """The learning curve without its times."""
+    with (folder / "learning_curve.csv").open() as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def resume(folder: Path, **options: Any) -> Any:
+    return train(TrainingOptions(resume=folder, trust=True, **options))
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a training of 256 steps."""
     out = tmp_path_factory.mktemp("finished")
-    assert seeds.main([*TINY, "--seed", "1", "--out", str(out)]) == 0
+    train(tiny(out, steps=256))
     return out
 
 
-@pytest.mark.parametrize("more", [[], ["--seeds", "1,2"], ["--algo", "sac", "--seed", "4"]])
-def test_a_second_training_of_a_folder_is_refused(finished: Path, more: list[str]) -> None:
+def test_a_folder_that_is_not_empty_is_refused(finished: Path) -> None:
     before = digest(finished)
-    with pytest.raises(ConfigError) as error:
-        seeds.main([*TINY, *more, "--out", str(finished)])
-    said = f"holds a finished training: name another folder, or --resume {finished}"
-    assert str(error.value) == f"--out {finished}: {said}"
+    for run, options in ((train, {}), (train, {"algo": "sac"}), (train_seeds, {"seeds": "1,2"})):
+        with pytest.raises(ConfigError, match=f"isn't empty: .*--resume {finished}"):
+            run(tiny(finished, steps=256, **options))
     assert digest(finished) == before
-
-
-@pytest.mark.parametrize(
-    ("files", "said"),
-    [
-        (["config.yml", "policy.onnx", "model.zip"], "an unfinished training"),
-        (["checkpoints/rl_model_256_steps.zip"], "checkpoints"),
-        (["policy.onnx"], "policy.onnx"),
-        (["learning_curve.csv"], "learning_curve.csv"),
-        (["seeds.json"], "trainings of several seeds"),
-        (["seed-3/config.yml"], "trainings of several seeds"),
-        (["seed-3/log.txt", "notes.txt", ".lock", "tensorboard/PPO_1/events"], None),
-    ],
-)
-def test_whatever_a_training_would_replace_counts(
-    files: list[str], said: str | None, tmp_path: Path
-) -> None:
-    for name in files:
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("")
-    assert record.describe_content(tmp_path) == said
-    if said is None:
-        with record.claim_folder(tmp_path) as out:
-            assert out == tmp_path
-    else:
-        with pytest.raises(ConfigError, match=f"holds {said}: name another folder"):
-            seeds.main([*TINY, "--out", str(tmp_path)])
+    with pytest.raises(ConfigError, match="another training has it"):  # made at the same time
+        folders.begin_config(finished, "x", {}, tiny(finished))
 
 
 def test_without_a_name_the_next_number_is_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert seeds.main(TINY) == 0
-    before = digest(Path("runs/point_goal"))
-    assert seeds.main(TINY) == 0
-    said = capsys.readouterr().out
-    assert f"{Path('runs/point_goal')} is another training's: using runs/point_goal-2\n" in said
-    assert "written: runs/point_goal-2/policy.onnx" in said
-    assert digest(Path("runs/point_goal")) == before
-    with record.claim_folder(Path("runs/point_goal"), numbered=True) as third:
-        assert third == Path("runs/point_goal-3")
-        with record.claim_folder(Path("runs/point_goal"), numbered=True) as fourth:
-            assert fourth == Path("runs/point_goal-4")
+    for number in (1, 2, 3):
+        assert folders.make_folder(None, "point_goal") == Path(f"runs/point_goal/{number}")
 
 
-def test_a_checkpoint_of_another_training_is_refused(finished: Path, tmp_path: Path) -> None:
-    mixed, other = tmp_path / "mixed", tmp_path / "other"
-    shutil.copytree(finished, mixed)
-    assert seeds.main([*TINY, "--seed", "2", "--steps", "512", "--out", str(other)]) == 0
-    names = [path.name for path in checkpoints.find_checkpoints(other / "checkpoints")]
-    for name in names:
-        shutil.copy(other / "checkpoints" / name, mixed / "checkpoints" / name)
-    before = digest(mixed)
-    with pytest.raises(ConfigError) as error:
-        seeds.main(["--resume", str(mixed), "--trust", "--steps", "1024"])
-    said = f"isn't of the training of {mixed / 'config.yml'}: move it elsewhere"
-    assert said in str(error.value)
-    assert "\n" not in str(error.value)
-    assert digest(mixed) == before
-    (mixed / "checkpoints" / names[-1]).unlink()
-    config = yaml.safe_load((mixed / "config.yml").read_text())
-    config["run"]["id"] = "edited"
-    (mixed / "config.yml").write_text(yaml.safe_dump(config))
-    with pytest.raises(ConfigError, match="isn't of the training of"):
-        seeds.main(["--resume", str(mixed), "--trust", "--steps", "1024"])
-
-
-@pytest.mark.usefixtures("deadline")
-def test_the_second_of_two_at_once_is_refused_until_the_first_is_killed(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    endless = [*TINY[:-1], "1000000", "--checkpoint-seconds", "0", "--out", str(out)]
-    command = [sys.executable, str(AGENTS / "train.py"), *endless]
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "algo",
+    ["ppo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sac", "tqc", "ppo_lstm"))],
+)
+def test_a_training_goes_on_at_its_newest_model(
+    algo: str, number: signal.Signals, tmp_path: Path
+) -> None:
+    """After SIGKILL at its last checkpoint, after Ctrl-C at model.zip."""
+    command = [sys.executable, str(AGENTS / "train.py"), "--robots", "8", "--threads", "1"]
+    command += ["--steps", str(STEPS), "--seed", "7", "--algo", algo, "--checkpoint-seconds", "0"]
+    command += ["--learning-rate", "0.003", "--no-progress", "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        until = time.monotonic() + PROGRAM_TIMEOUT
-        while not checkpoints.find_checkpoints(out / "checkpoints") and time.monotonic() < until:
+        until = time.monotonic() + PATIENCE
+        while not folders.find_models(tmp_path) and time.monotonic() < until:
             assert process.poll() is None
             time.sleep(0.01)
-        for arguments in ([*TINY, "--out", str(out)], ["--resume", str(out), "--trust"]):
-            with pytest.raises(AcsarError, match="a training is running in it"):
-                seeds.main(arguments)
-        process.send_signal(signal.SIGKILL)
-    with pytest.raises(ConfigError, match=f"an unfinished training: .*, or --resume {out}"):
-        seeds.main([*TINY, "--out", str(out)])
-    steps = checkpoints.read_state(checkpoints.find_checkpoints(out / "checkpoints")[-1]).steps
-    assert seeds.main(["--resume", str(out), "--trust", "--steps", str(steps + 256)]) == 0
+        process.send_signal(number)
+    newest = folders.find_models(tmp_path)[0]
+    steps = folders.count_steps(newest)
+    assert 0 < steps < STEPS
+    assert (newest.name == "model.zip") == (number == signal.SIGINT)
+    rows = [row for row in curve(tmp_path) if int(row["steps"]) <= steps]
+    (tmp_path / "checkpoints" / "rl_model_9999_steps.zip").write_bytes(b"PK")  # cut
+    assert resume(tmp_path, steps=STEPS).steps == STEPS
+    assert curve(tmp_path)[: len(rows)] == rows
+    assert int(curve(tmp_path)[-1]["steps"]) == STEPS
+    config = yaml.safe_load((tmp_path / "config.yml").read_text())
+    assert config["acsar_gym/PointGoal-v0"]["learning_rate"] == 0.003
+    assert OnnxPolicy(tmp_path / "policy.onnx").document.training["seed"] == 7
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trust": False}, "pass --trust"),
+        ({}, "its 256 steps are done: ask for more with --steps"),
+        ({"algo": "sac"}, "--algo sac: {} is of a training with ppo"),
+        ({"env": "barn"}, "--env barn: {} is of a training with point_goal"),
+        ({"seed": 2}, "--seed 2: {} is of a training with 3"),
+        ({"out": Path("new")}, "goes on in its own folder: leave it out"),
+    ],
+)
+def test_a_folder_is_refused_in_one_line(
+    finished: Path, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(AcsarError) as error:
+        train(TrainingOptions(**{"resume": finished, "trust": True, **options}))
+    assert message.format(finished) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_folder_of_something_else_is_refused(finished: Path, tmp_path: Path) -> None:
+    for text, message in (
+        (None, r"config\.yml"),
+        ("run: 3\n", "isn't of 'acsar-gym train'"),
+        ("run: {options: {robots: many}}\n", r"train\.robots = 'many'"),
+    ):
+        if text is not None:
+            (tmp_path / "config.yml").write_text(text)
+        with pytest.raises(AcsarError, match=message):
+            resume(tmp_path)
+    shutil.copy(finished / "config.yml", tmp_path)
+    with pytest.raises(AcsarError, match="has no complete model yet"):
+        resume(tmp_path)
+
+
+def test_a_model_of_another_training_starts_a_new_one(finished: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    start = finished / "model.zip"
+    train(tiny(out, steps=256, resume=start, trust=True))
+    assert folders.count_steps(out / "model.zip") == 256
+    for options, message in (
+        ({"trust": False}, "pass --trust"),
+        ({"env": "path_follow"}, "isn't a model of PPO for this env"),
+        ({"algo": "sac"}, "isn't a model of SAC"),
+    ):
+        given = {"steps": 256, "resume": start, "trust": True, **options}
+        with pytest.raises(AcsarError, match=message) as error:
+            train(tiny(tmp_path / "new", **given))
+        assert "\n" not in str(error.value)
+        shutil.rmtree(tmp_path / "new", ignore_errors=True)
+
+
+def test_more_steps_go_on_and_a_missing_policy_is_written(
+    finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    (folder / "policy.onnx").unlink()  # as on a full disk
+    resume(folder)
+    assert (folder / "policy.onnx").exists()
+    assert len(curve(folder)) == len(curve(finished))
+    assert resume(folder, steps=512).steps == 512
+    assert "going on at 256 steps, with new episodes\n" in capsys.readouterr().out
+    assert (folder / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_full_disk_leaves_the_last_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = folders.write_model
+
+    def write_until_full(model: Any, path: Path) -> None:
+        with full_disk(1000) if model.num_timesteps == 512 else contextlib.nullcontext():
+            write(model, path)
+
+    monkeypatch.setattr(folders, "write_model", write_until_full)
+    with pytest.raises(AcsarError) as error:
+        train(tiny(tmp_path, steps=768, checkpoint_seconds=0.0))
+    message = str(error.value)
+    del error
+    gc.collect()  # the file that stable-baselines3 leaves open: here, not in a later test
+    newest = tmp_path / "checkpoints" / "rl_model_256_steps.zip"
+    assert message.startswith(f"--out {tmp_path}: can't be written: File too large; ")
+    assert f"{newest} is whole" in message
+    assert "\n" not in message
+    assert folders.find_models(tmp_path) == [newest]
+
+
+def test_every_seed_has_a_folder_and_a_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    results = train_seeds(tiny(tmp_path, seeds="3,5", steps=1, robots=4))
+    output = capsys.readouterr().out
+    with (tmp_path / "seeds.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["seed"] for row in rows] == ["3", "5"]
+    assert [float(row["success_rate"]) for row in rows] == [each.success_rate for each in results]
+    assert f"worst {min(each.success_rate for each in results):.1%}" in output
+    for seed in (3, 5):
+        assert f"seed {seed}" in (tmp_path / f"seed-{seed}-log.txt").read_text(encoding="utf-8")
+        assert (tmp_path / f"seed-{seed}" / "policy.onnx").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [("0-4", [0, 1, 2, 3, 4]), ("1,5,7-9", [1, 5, 7, 8, 9]), ("2-2,2", [2])],
+)
+def test_seeds_are_ranges_and_lists(text: str, seeds: list[int]) -> None:
+    assert parse_seeds(text) == seeds
+
+
+@pytest.mark.parametrize("text", ["", "3-1", "a", "1,,2", "-3", "0-1000", "4294967296"])
+def test_other_seeds_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"--seeds .*: must be like"):
+        parse_seeds(text)
+
+
+@pytest.mark.parametrize(
+    ("options", "command"),
+    [
+        ({"env": "barn", "seed": 3, "net": (64, 64)}, "--env barn --seed 3 --net 64 64"),
+        ({"resume": Path("/home/me/cut"), "trust": True}, "--resume cut --trust"),
+        (
+            {"robot": "/home/me/my.yaml", "worlds": ("clutter", "/home/me/hall.world")},
+            "--worlds clutter --worlds hall.world --robot my.yaml",
+        ),
+        (
+            {"randomize": False, "seeds": "0-3", "address": "ray://10.0.0.3"},
+            "--seeds 0-3 --no-randomize",
+        ),
+    ],
+)
+def test_the_command_contains_no_folder_and_no_address(
+    options: dict[str, Any], command: str
+) -> None:
+    given = TrainingOptions(out=Path("/home/me/run"), **options)
+    assert folders.training_command(given) == f"acsar-gym train {command}"

@@ -11,6 +11,7 @@ import pytest
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.training import held_out
+from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.pool import Pool
@@ -41,7 +42,7 @@ def test_a_score_is_what_evaluation_says_of_the_same_episodes(worlds: Any) -> No
         "acsar_gym/ObstacleGoal-v1", link="planar", worlds=worlds, max_episode_steps=STEPS
     )
     one = evaluation.run_episodes(
-        env, lambda seen: towards(seen[None])[0], ROBOTS, held_out.FIRST_HELD_OUT_SEED
+        env, lambda seen: towards(seen[None])[0], ROBOTS, FIRST_HELD_OUT_SEED
     )
     results = list(one)
     env.close()

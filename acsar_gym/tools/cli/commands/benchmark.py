@@ -10,54 +10,55 @@ import tyro
 
 from acsar_gym.reading import describe_origin
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import PageOptions, print_results, say
+from acsar_gym.tools.cli.options import File, PageOptions, check_writable, print_results, say
 
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME [NAME ...]")]
 Folder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
-RESULT_FILE = "benchmark.json"
 
 
 @dataclass(frozen=True)
 class BenchmarkChoice:
     """What is compared."""
 
-    env: Annotated[Names, tyro.conf.arg(aliases=["--ids"])] = ()
-    """Ids: point_goal, obstacle_goal, barn, crowd, dyna_barn, path_follow,
-    mine.module:mine/Task-v0; default: all of acsar_gym's."""
     sets: Names = ()
-    """Sets of scenes: open, clutter, clutter/husky, clutter-unseen, barn, barn-fast, ...; default:
-    all of these ids."""
+    """Sets of scenes: crowd, barn-fast, clutter, clutter/husky, ...; default: crowd and barn-fast,
+    or all of --env."""
+    env: Names = ()
+    """Ids: barn, crowd, ..., mine.module:mine/Task-v0."""
     robots: Names = ()
     """Robots that drive instead of those of the sets: presets or config files."""
     agents: Names = ()
     """Agents: packaged, baselines such as dwa, names in --trained, and policies of your own:
     mine.onnx, mine.py:act, mine.planner:Planner; default: all but your own, and those that know
-    what only a simulator does (orca_true)."""
+    the simulator's truth (orca_true)."""
     trained: Folder = None
     """Trained policies, NAME/SEED/policy.onnx."""
     seeds: int = 5
     """Most training seeds of each trained agent."""
     links: Names = ("planar", "bullet")
-    """planar, bullet, mujoco; port: the emulated board in real time; ros2: a simulation of
-    'acsar-gym ros driver', likewise."""
+    """planar, bullet, mujoco; ros2: a simulation of 'acsar-gym ros driver', in real time."""
     scenes: int = 200
-    """Scenes of every cell, at most 1,000."""
-    port_scenes: int = 40
-    """Scenes of every cell in real time."""
+    """Scenes of every set, at most 1,000."""
     conditions: Names = ("nominal",)
     """Conditions: nominal, randomization-1 to -3, dropped-2, ...; a wrong name lists all."""
-    profile: bool = False
-    """All conditions: the robustness profile."""
     barn: Folder = None
-    """Folder of the published BARN worlds, in which barn and barn-fast are driven, too."""
+    """Folder of the published BARN worlds, in which barn and barn-fast are driven as well."""
 
 
 @dataclass(frozen=True)
 class BenchmarkOutputs(PageOptions):
     """Where it runs, and what it writes."""
 
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("runs/benchmark")
-    """Folder of the finished cells, and of the result as benchmark.json."""
+    out: Folder = None
+    """New folder of the results; default: runs/benchmark/NUMBER."""
+    resume: Folder = None
+    """Continue an interrupted benchmark in its folder."""
+    csv: File = None
+    """Also write the table as CSV."""
+    latex: File = None
+    """Also write the table for LaTeX."""
+    figure: File = None
+    """Also draw scores, intervals and training seeds, as FILE.svg or FILE.pdf."""
     workers: int | None = None
     """Processes at a time; default: 1, on a cluster one per CPU."""
     address: str | None = None
@@ -68,44 +69,51 @@ class BenchmarkOutputs(PageOptions):
 def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     """Compare agents over fixed scenes: success, scores and intervals.
 
-    Ctrl-C keeps the cells that are finished; the same command drives the others.
-
     Args:
         what: ids, agents, links, scenes and conditions.
         how: folder, processes and output.
     """
-    from acsar_gym.registration import IDS  # noqa: PLC0415
-    from acsar_gym.tools.benchmark import cells, figures, plan, runner, scenes  # noqa: PLC0415
-    from acsar_gym.tools.benchmark import report as benchmark_report  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
+    from acsar_gym.errors import ConfigError  # noqa: PLC0415
+    from acsar_gym.tools.benchmark import agents, plan, report, runner, scenes  # noqa: PLC0415
+    from acsar_gym.tools.benchmark.table import make_result  # noqa: PLC0415
+    from acsar_gym.tools.evaluation.report import write_json  # noqa: PLC0415
 
-    ids = list(dict.fromkeys(plan.find_env(name) for name in what.env))
-    ids = ids or [f"{scenes.OWN_NAMESPACE}{name}" for name in IDS]
     how.check()
-    report.make_folder(how.out)
-    agents = plan.choose_agents(what.agents, ids, what.trained, what.seeds)
-    sets = scenes.choose_sets(
-        [some for env_id in ids for some in scenes.find_sets(env_id, what.robots)], what.sets
-    )
+    check_writable(how.csv, how.latex, how.figure, force=how.force)
+    report.check_figure(how.figure)
+    if how.out is not None and how.resume is not None:
+        raise ConfigError("--resume: continues in its own folder: leave out --out")
+
+    # What is compared.
+    sets = scenes.choose_sets([scenes.find_env(name) for name in what.env], what.sets, what.robots)
     if what.barn is not None:
         sets += scenes.published_sets(sets, what.barn)
-    driven = {agent.id for agent in agents}
-    asked = plan.BenchmarkPlan(
-        tuple(agents),
-        tuple(some for some in sets if some.id in driven),
-        what.links,
-        tuple(plan.CONDITIONS) if what.profile else tuple(dict.fromkeys(what.conditions)),
-        what.scenes,
-        what.port_scenes,
+    chosen = plan.Plan(
+        agents=tuple(agents.choose_agents(what.agents, sets, what.trained, what.seeds)),
+        sets=tuple(sets),
+        links=tuple(dict.fromkeys(what.links)),
+        conditions=tuple(dict.fromkeys(what.conditions)),
+        count=what.scenes,
     )
-    store = cells.Store(how.out)
-    finished = runner.run_plan(asked, store, workers=how.workers, address=how.address)
-    result = figures.make_result(asked.as_dict(), finished)
-    for path in (how.out / RESULT_FILE, how.json):
-        report.write_json(path, {"origin": describe_origin(), **result}, indent=None)
+
+    # The episodes, in a folder of their own.
+    folder = runner.open_folder(chosen, how.out, how.resume)
+    cells = runner.run_plan(chosen, folder, workers=how.workers, address=how.address)
+
+    # The results.
+    result = make_result(chosen.as_dict(), cells)
+    for path in (folder / runner.RESULT_FILE, how.json):
+        write_json(path, {"origin": describe_origin(), **result}, indent=None)
     if how.html is not None:
-        benchmark_report.write_benchmark_page(how.html, result)
-    print_results(benchmark_report.result_table(result))
-    for refusal in benchmark_report.list_refusals(result):
+        report.write_benchmark_page(how.html, result)
+    if how.csv is not None:
+        report.write_csv(how.csv, result)
+    if how.latex is not None:
+        report.write_latex(how.latex, result)
+    if how.figure is not None:
+        report.write_figure(how.figure, result)
+    print_results(report.result_table(result))
+    for refusal in report.list_refusals(result):
         say(refusal)
+    say(f"written: {folder / runner.RESULT_FILE}")
     return 0

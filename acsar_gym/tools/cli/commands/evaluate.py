@@ -31,6 +31,7 @@ from acsar_gym.tools.cli.options import (
 
 if TYPE_CHECKING:
     from acsar_gym.tools.evaluation.runs import EvaluationRun
+    from acsar_gym.tools.policies import FilePolicy
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,16 @@ class PolicyOptions:
     """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
     env: EnvArg = ""
     """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
+    anyway: bool = False
+    """Drive a real robot of another size or speed than the robots of the training."""
+
+    def load(self) -> FilePolicy:
+        """Load the policy."""
+        from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
+
+        policy = runs.load_policy(self.policy, trust=self.trust, env=self.env)
+        policy.anyway = self.anyway
+        return policy
 
 
 @dataclass(frozen=True)
@@ -63,82 +74,59 @@ class RobotOptions(RecordOptions):
 
 
 @dataclass(frozen=True)
-class WorldOptions(WorldFileOptions):
-    """The worlds of an evaluation."""
-
-    worlds: Worlds = ()
-    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder. Give it again
-    for worlds of several."""
-    in_order: bool = False
-    """Use every world once, in order, instead of random ones."""
-    difficulty: float | None = None
-    """Difficulty of generated worlds, 0 to 1."""
-
-
-@dataclass(frozen=True)
-class EpisodeOptions:
-    """The episodes of an evaluation."""
+class EpisodeOptions(WorldFileOptions):
+    """The episodes of an evaluation, and their worlds."""
 
     episodes: int = 100
     """Number of episodes."""
     seed: int = 0
-    """Seed of the first episode; the next ones count up."""
-
-
-@dataclass(frozen=True)
-class ScaleOptions:
-    """Parallel processes, and other machines."""
-
+    """Seed of the first episode; the next seeds count up."""
+    worlds: Worlds = ()
+    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder. May be
+    repeated."""
+    difficulty: float | None = None
+    """Difficulty of generated worlds, 0 to 1."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Processes to use; default: one, or with --address one for each CPU of the cluster."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
-    """Ray cluster to run on: host:port, ray://host:port, auto, or local to start one here."""
+    """Processes that drive in parallel; default: one."""
 
 
 @command("evaluate", "policies", drives=True)
 def evaluate_policy(
-    policy: PolicyOptions,
-    robot: RobotOptions,
-    worlds: WorldOptions,
-    host: HostOptions,
-    scale: ScaleOptions,
-    episodes: EpisodeOptions,
-    output: PageOptions,
+    policy: PolicyOptions, robot: RobotOptions, episodes: EpisodeOptions, output: PageOptions
 ) -> int:
     """Evaluate a policy over some episodes on any link, and print its metrics.
 
     Args:
         policy: the policy.
         robot: link, robot, LiDAR, and recording.
-        worlds: worlds of the evaluation.
-        host: process priority and cores; whether the emergency stop may be missing.
-        scale: parallel processes, and other machines.
-        episodes: the episodes.
+        episodes: the episodes and their worlds.
         output: results in files.
     """
+    from acsar_gym.guard.estop import check_available  # noqa: PLC0415
+    from acsar_gym.links.factory import is_device  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report, runs  # noqa: PLC0415
 
     output.check()
-    host.prepare(robot.link)
+    if is_device(robot.link):
+        check_available(robot.link)
     ROS_ARGUMENTS.set(robot.ros_args)
     seeds = runs.seed_range(episodes.seed, episodes.episodes)
-    loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
+    loaded = policy.load()
     done = runs.evaluate_policy(
         loaded,
         robot.link,
         robot.robot,
         seeds,
-        how={"in_order": worlds.in_order, "late_share": robot.late_share},
-        workers=scale.workers,
-        address=scale.address,
-        worlds=worlds.place(*worlds.worlds),
-        difficulty=worlds.difficulty,
+        late_share=robot.late_share,
+        workers=episodes.workers,
+        worlds=episodes.place(*episodes.worlds),
+        difficulty=episodes.difficulty,
         lidar=robot.lidar,
         record=robot.recorder("evaluate", link=robot.link, policy=loaded.about),
     )
     title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
     if output.html is not None and done.results:
-        report.write_evaluation_page(output.html, title, robot.link, done.summary, done.results)
+        report.write_evaluation_page(output.html, title, done.summary, done.results)
     return report_run(title, robot.link, done, output.json)
 
 
@@ -171,7 +159,7 @@ def run_policy(
     output.check()
     host.prepare(robot.link)
     ROS_ARGUMENTS.set(robot.ros_args)
-    loaded = runs.load_policy(policy.policy, trust=policy.trust, env=policy.env)
+    loaded = policy.load()
 
     def ready() -> None:
         if is_device(robot.link):
@@ -185,8 +173,15 @@ def run_policy(
         "record": recorder,
         "goal_distance": goal_distance,
     }
-    how = {"late_share": robot.late_share}
-    done = runs.drive_to_goal(loaded, robot.link, robot.robot, goal, ready, how=how, **options)
+    done = runs.drive_to_goal(
+        loaded,
+        robot.link,
+        robot.robot,
+        goal,
+        ready=ready,
+        late_share=robot.late_share,
+        **options,
+    )
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {done.worlds}"
     return report_run(title, robot.link, done, output.json, to_goal=True)
 
@@ -205,7 +200,8 @@ def report_run(
     """
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
-    tables, rows = [], [(link, done.summary)]
+    tables = []
+    rows = [(link, done.summary)]
     if done.results:
         tables.append(report.summary_table(title, rows, done.notes))
         if not math.isnan(done.summary.closest_person):
@@ -217,9 +213,10 @@ def report_run(
         raise LinkError(done.faults[0])
     if to_goal and not all(episode.success for episode in done.results):
         return 1
-    if done.late and not link.startswith("replay:"):  # nobody can mend what was recorded
+    hint = BUSY_HINT if to_goal else "stop other programs"
+    if done.late and not link.startswith("replay:"):  # a recording stays as it is
         raise LateTicksError(
-            f"too many late ticks in {done.late} of {len(done.results)} episodes: {BUSY_HINT}, or "
+            f"too many late ticks in {done.late} of {len(done.results)} episodes: {hint}, or "
             "allow a larger --late-share"
         )
     return 0

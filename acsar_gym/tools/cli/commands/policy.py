@@ -1,31 +1,63 @@
-"""Show what a policy file says about itself: acsar-gym policy show FILE."""
+"""The command `policy`."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import ResultOptions, print_results
+from acsar_gym.tools.cli.options import (
+    EnvArg,
+    File,
+    ResultOptions,
+    RobotArg,
+    check_writable,
+    print_results,
+    say,
+)
 
 
-@command("policy show", "policies")
+@command("policy", "policies")
 def show_policy(
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|NAME")],
     output: ResultOptions,
+    out: File = None,
+    trust: bool = False,
+    env: EnvArg = "",
+    robot: RobotArg = None,
+    vecnormalize: Annotated[str | None, tyro.conf.arg(metavar="FILE|none")] = None,
 ) -> int:
-    """Print what a policy file says about itself: its task, robot, training and figures.
+    """Show what a policy was trained for and how; with --out, convert it to ONNX.
 
     Args:
-        file: ONNX file, or the name of a packaged policy.
+        file: ONNX file, name of a packaged policy, or zip of PPO, A2C, SAC, TD3, DDPG, TQC or
+            RecurrentPPO.
         output: results in a file.
+        out: ONNX file to write, which runs no code when it's loaded.
+        trust: allow a zip to run code: only zips from people you trust.
+        env: env that a zip was trained for, such as point_goal; models of 'acsar-gym train' know
+            it.
+        robot: preset or config file of the robot that a zip was trained on.
+        vecnormalize: file of the VecNormalize that a zip was trained with; can run code as well.
+            Default: the file beside the zip.
     """
+    from acsar_gym.envs.ids import find_id  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-    from acsar_gym.tools.policies import OnnxPolicy, bundle  # noqa: PLC0415
+    from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy, resolve  # noqa: PLC0415
 
     output.check()
-    policy = OnnxPolicy(file)
-    table = report.fact_table(str(policy.path), bundle.bundle_rows(policy.bundle))
-    print_results(table, json=output.json, data=policy.bundle.model_dump(mode="json"))
+    check_writable(out, force=output.force, mark="")
+    policy: OnnxPolicy
+    if resolve(file).suffix == ".zip":
+        env_id = find_id(env) if env else ""
+        policy = ZipPolicy(file, trust=trust, env_id=env_id, robot=robot, vecnormalize=vecnormalize)
+    else:
+        policy = OnnxPolicy(file)
+    table = report.fact_table(str(policy.path), policy.document.rows())
+    print_results(table, json=output.json, data=policy.document.model_dump(mode="json"))
+    if out is not None:
+        policy.save(Path(out))
+        say(f"written: {out}")
     return 0

@@ -99,6 +99,8 @@ class RosPolicyOptions:
     """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
     env: EnvArg = ""
     """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
+    anyway: bool = False
+    """Drive a real robot of another size or speed than the robots of the training."""
 
 
 @dataclass(frozen=True)
@@ -172,6 +174,7 @@ def drive_ros_policy(
     output.check()
 
     def ready(loaded: FilePolicy, link: str) -> dict[str, Any]:
+        loaded.anyway = policy.anyway
         host.prepare(link)
         if goals.goal is not None:
             countdown(f"the robot on {link} will drive", yes=goals.yes)

@@ -1,50 +1,44 @@
-"""The commands `train` and `export`: where policy files come from."""
+"""The command `train`."""
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-from typing import Annotated
-
-import tyro
+import signal
 
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import EnvArg, Force, OutFile, RobotArg, check_writable, say
+from acsar_gym.tools.training.options import TrainingOptions
 
 
 @command("train", "policies")
-def train_policy() -> int:
-    """Train a policy and export it, with options of its own."""
-    from acsar_gym.tools.training.seeds import main  # noqa: PLC0415
+def train_policy(training: TrainingOptions) -> int:
+    """Train a policy on one of the environments and export it as one ONNX file.
 
-    return main(sys.argv[2:])
-
-
-@command("export", "policies")
-def convert_policy(
-    model: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="MODEL")],
-    out: OutFile,
-    trust: bool = False,
-    env: EnvArg = "",
-    robot: RobotArg = None,
-    vecnormalize: Annotated[str | None, tyro.conf.arg(metavar="FILE|none")] = None,
-    force: Force = False,
-) -> int:
-    """Convert a stable-baselines3 zip to an ONNX policy, which runs no code when it's loaded.
+    Ctrl-C and SIGTERM end it early, and save the model.
 
     Args:
-        model: zip of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
-        out: the ONNX file.
-        trust: allow the zip to run code: only zips from people you trust.
-        env: env that it was trained for, such as point_goal; models of 'acsar-gym train' know
-            it.
-        robot: preset or config file of the robot that it was trained on.
-        vecnormalize: file of the VecNormalize that it was trained with; can run code, too.
-        force: replace a file that exists.
+        training: the training.
     """
-    from acsar_gym.tools.evaluation import runs  # noqa: PLC0415
+    if training.warm_up:
+        return warm_up(training)
+    from acsar_gym.tools.training.run import train  # noqa: PLC0415
+    from acsar_gym.tools.training.seeds import train_seeds  # noqa: PLC0415
 
-    check_writable(out, force=force, mark="")
-    runs.export_policy(model, out, env, robot, trust=trust, vecnormalize=vecnormalize)
-    say(f"written: {out}")
+    try:
+        if training.seeds is None:
+            train(training)
+        else:
+            train_seeds(training)
+    except KeyboardInterrupt as end:
+        if end.args == (signal.SIGTERM.name,):
+            return 128 + signal.SIGTERM
+        raise
+    return 0
+
+
+def warm_up(options: TrainingOptions) -> int:
+    """Compile the loops of an env, and generate its worlds."""
+    from acsar_gym.tools.warm_up import warm_env  # noqa: PLC0415
+
+    done = warm_env(options.env, options.robot)
+    worlds = f", {done.worlds} worlds at hand" if done.worlds else ""
+    print(f"{options.env}: {done.functions} functions compiled{worlds}, {done.seconds:.1f} s")
     return 0

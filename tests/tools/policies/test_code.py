@@ -1,4 +1,4 @@
-"""Functions of Python files as policies."""
+"""Functions, classes and objects in Python as policies."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import pytest
 
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools import cli
-from acsar_gym.tools.benchmark import plan
-from acsar_gym.tools.benchmark.cells import Store
+from acsar_gym.tools.benchmark.agents import choose_agents
+from acsar_gym.tools.benchmark.plan import Plan
 from acsar_gym.tools.benchmark.runner import run_plan
 from acsar_gym.tools.benchmark.scenes import find_sets
 from acsar_gym.tools.evaluation import episodes as evaluation
@@ -170,11 +170,10 @@ def test_a_class_is_bound_once_and_reset_before_every_episode(
         loaded = runs.load_policy(policy, trust=False, env="point_goal")
         runs.evaluate_policy(loaded, "planar", None, range(2))
     else:
-        (agent,) = plan.given_agents(policy, ["acsar_gym/PointGoal-v0"])
-        some = find_sets("acsar_gym/PointGoal-v0")[0]
-        (result,) = run_plan(
-            plan.BenchmarkPlan((agent,), (some,), ("planar",), count=2), Store(tmp_path)
-        )
+        scenes = find_sets("acsar_gym/PointGoal-v0")[0]
+        (agent,) = choose_agents([policy], [scenes], None, 1)
+        plan = Plan((agent,), (scenes,), ("planar",), count=2)
+        (result,) = run_plan(plan, tmp_path).values()
         assert len(result.episodes) == 2
     assert told_by(held) == CONTRACT
 

@@ -1,0 +1,232 @@
+"""The folder of a training: its config.yml, its checkpoints, and what `--resume` takes from them.
+
+A folder holds one training. `config.yml` is created exclusively, so that two trainings never write
+to the same folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import platform
+import shlex
+import subprocess
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import acsar_gym
+from acsar_gym import reading
+from acsar_gym.errors import ConfigError, explain_error
+from acsar_gym.tools.evaluation import provenance
+from acsar_gym.tools.training.options import TrainingOptions
+from acsar_gym.tools.training.recipes import name_errors
+from acsar_gym.vector.threads import usable_cores
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+CONFIG_FILE = "config.yml"
+"""The recipe by the env's id, so that the file is a --conf-file, and `RUN_KEY`."""
+RUN_KEY = "run"
+"""Key of options, versions, revision and command."""
+MODEL_FILE = "model.zip"
+POLICY_FILE = "policy.onnx"
+CHECKPOINTS_FOLDER = "checkpoints"
+BUFFER_FILE = "replay_buffer.pkl"
+"""Beside a model with a replay buffer."""
+KEPT_CHECKPOINTS = 2
+MAX_CONFIG_BYTES = 1_000_000
+RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
+"""Their versions are recorded, in addition to those of every result."""
+GIT_TIMEOUT = 5.0
+"""Time limit of git [s]."""
+CHANGEABLE_OPTIONS = ("steps", "target", "threads", "progress", "checkpoint_seconds", "device")
+"""Options that may change when a training goes on."""
+
+
+def make_folder(out: Path | None, env: str) -> Path:
+    """Make the folder of a new training: `out`, which may be empty, or the next of runs/ENV.
+
+    Raises:
+        ConfigError: `out` isn't empty, or a folder can't be made.
+    """
+    parent = Path("runs") / env
+    try:
+        if out is not None:
+            check_empty(out)
+            out.mkdir(parents=True, exist_ok=True)
+            return out
+
+        parent.mkdir(parents=True, exist_ok=True)
+        for number in itertools.count(1):
+            with contextlib.suppress(FileExistsError):  # another training's
+                (parent / str(number)).mkdir()
+                break
+    except OSError as error:
+        raise ConfigError(
+            f"--out {out or parent}: can't be made: {explain_error(error)}"
+        ) from error
+    return parent / str(number)
+
+
+def check_empty(out: Path) -> None:
+    """Raise ConfigError for a folder that isn't empty."""
+    if out.is_dir() and any(out.iterdir()):
+        raise ConfigError(
+            f"--out {out}: isn't empty: name another folder, or go on with its training: --resume "
+            f"{shlex.quote(str(out))} --trust"
+        )
+
+
+# config.yml
+
+
+def begin_config(folder: Path, key: str, recipe: Mapping[str, Any], options: Any) -> None:
+    """Write config.yml of a new training; ConfigError if another training has the folder."""
+    facts = {
+        "options": options.model_dump(mode="json"),
+        "command": training_command(options),
+        "versions": provenance.library_versions(*RECORDED_LIBRARIES),
+        "revision": git_revision(),
+        "cores": usable_cores(),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }
+
+    text = reading.format_yaml({key: dict(recipe), RUN_KEY: facts})
+    try:
+        with (folder / CONFIG_FILE).open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise ConfigError(f"--out {folder}: another training has it: name another") from error
+
+
+def read_config(folder: Path) -> dict[str, Any]:
+    """Read config.yml.
+
+    Raises:
+        ConfigError: It isn't one of a training.
+    """
+    path = folder / CONFIG_FILE
+    with name_errors(f"--resume {folder}"):
+        content = reading.parse_yaml(reading.decode_text(reading.read_file(path, MAX_CONFIG_BYTES)))
+        if not isinstance(content, dict) or not isinstance(content.get(RUN_KEY), dict):
+            raise ConfigError(f"{CONFIG_FILE} isn't of 'acsar-gym train'")
+    return content
+
+
+def training_command(options: TrainingOptions) -> str:
+    """Return the command of a training, without folders: only the names of files elsewhere."""
+    words = ["acsar-gym", "train"]
+    for name, value in options.model_dump(
+        mode="json", exclude_defaults=True, exclude={"out", "address"}
+    ).items():
+        flag = f"--{name.replace('_', '-')}"
+        if isinstance(value, bool):
+            words.append(flag if value else f"--no-{flag[2:]}")
+            continue
+
+        texts = [str(item) for item in (value if isinstance(value, list) else [value])]
+        texts = [Path(text).name if Path(text).is_absolute() else text for text in texts]
+        if name == "worlds":
+            words += [word for text in texts for word in (flag, text)]
+        else:
+            words += [flag, *texts]
+    return shlex.join(words)
+
+
+def git_revision() -> str | None:
+    """Return the git revision of the package, with "-dirty" if files differ; None without git."""
+    folder = Path(acsar_gym.__file__).resolve().parent.parent
+    if not (folder / ".git").exists():
+        return None
+    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
+
+    try:
+        result = subprocess.run(
+            [*command, "--exclude=*"],
+            capture_output=True,
+            text=True,
+            timeout=GIT_TIMEOUT,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return result.stdout.strip() or None
+
+
+# Models
+
+
+def write_model(model: BaseAlgorithm, path: Path) -> None:
+    """Write a model, and its replay buffer beside it, each of them whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if getattr(model, "replay_buffer", None) is not None:
+        saver: Any = model
+        with reading.replace_file(path.with_name(BUFFER_FILE)) as new:
+            saver.save_replay_buffer(new)
+    with reading.replace_file(path) as new:
+        model.save(new)
+
+
+def write_checkpoint(model: BaseAlgorithm, folder: Path) -> None:
+    """Write a checkpoint, named as by stable-baselines3, then remove older ones."""
+    checkpoints = folder / CHECKPOINTS_FOLDER
+    write_model(model, checkpoints / f"rl_model_{model.num_timesteps}_steps.zip")
+    for path in find_models(folder)[KEPT_CHECKPOINTS:]:
+        if path.parent == checkpoints:
+            path.unlink(missing_ok=True)
+
+
+def find_models(folder: Path) -> list[Path]:
+    """List the complete models of a training, model.zip and checkpoints, the newest first."""
+    paths = [folder / MODEL_FILE, *(folder / CHECKPOINTS_FOLDER).glob("*.zip")]
+    steps = {path: count_steps(path) for path in paths}
+    complete = [path for path in paths if steps[path] >= 0]
+    return sorted(complete, key=lambda path: steps[path], reverse=True)
+
+
+def count_steps(path: Path) -> int:
+    """Return the steps of a model; -1 if its zip isn't complete. Runs no code."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return int(json.loads(archive.read("data"))["num_timesteps"])
+    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
+        return -1
+
+
+def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOptions, Path]:
+    """Find out with what a training goes on.
+
+    Args:
+        options: What the user gave.
+        folder: Folder of the training.
+
+    Returns:
+        The options of the folder, with the user's changes, and the model to go on with.
+
+    Raises:
+        ConfigError: The folder has no model, or is of another training.
+    """
+    if options.out is not None and options.out.resolve() != folder.resolve():
+        raise ConfigError(f"--out {options.out}: {folder} goes on in its own folder: leave it out")
+    recorded = read_config(folder)[RUN_KEY].get("options")
+    with name_errors(folder / CONFIG_FILE):
+        first_options = TrainingOptions.model_validate(recorded)
+    changes = options.model_dump(exclude_defaults=True, exclude={"out", "resume", "trust"})
+    for name, value in changes.items():
+        if name not in CHANGEABLE_OPTIONS and value != getattr(first_options, name):
+            flag = f"--{name.replace('_', '-')}"
+            raise ConfigError(
+                f"{flag} {value}: {folder} is of a training with {getattr(first_options, name)}: "
+                f"leave {flag} out, or start a new training"
+            )
+
+    models = find_models(folder)
+    if not models:
+        raise ConfigError(f"--resume {folder}: has no complete model yet: start a new training")
+    fixed = dict.fromkeys(("gamma", "learning_rate", "net"))  # config.yml contains them
+    fixed |= {"out": folder, "conf_file": folder / CONFIG_FILE, "trust": options.trust}
+    return first_options.model_copy(update=changes | fixed), models[0]

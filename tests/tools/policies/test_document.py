@@ -1,0 +1,270 @@
+"""The document of a policy file: read whatever it contains, and compared with task and robot."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from onnx_tools import ENV_ID, GOOD, changed, document_of, fitting, relabelled
+
+from acsar_gym import RobotConfig
+from acsar_gym.errors import AcsarWarning, PolicyError
+from acsar_gym.sensors.map.sensor import MAP_NAMES
+from acsar_gym.tools import cli
+from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.policies import OnnxPolicy
+from acsar_gym.tools.policies.document import (
+    DOCUMENT_KEY,
+    MAX_DOCUMENT_BYTES,
+    PolicyDocument,
+    parse_document,
+    robot_ranges,
+)
+
+ACSAR = RobotConfig.preset("acsar")
+WHOLE = json.dumps(changed())
+OF_THE_MAP = 7 + len(MAP_NAMES)
+ALONE: dict[str, Any] = robot_ranges([ACSAR], {"friction": (0.7, 1.2), "latency": (0.0, 0.02)})
+"""The robot of a training with a single robot."""
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=5) | st.dictionaries(st.text(max_size=9), inner),
+    max_leaves=20,
+)
+
+
+def parse(text: str) -> PolicyDocument:
+    return parse_document({DOCUMENT_KEY: text})
+
+
+@given(st.sampled_from(sorted(changed())), JSON)
+def test_a_changed_document_is_a_document_or_one_line(name: str, value: Any) -> None:
+    try:
+        document = parse(json.dumps(changed(**{name: value})))
+    except PolicyError as error:
+        assert "\n" not in str(error)  # noqa: PT017 - some changes are harmless
+    else:
+        assert parse(document.as_json()) == document
+        assert list(document.rows())
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (WHOLE[:-9], "JSON"),
+        ("[]", "policy = []"),
+        (json.dumps(changed(version=3)), "policy.version = 3"),
+        (json.dumps(changed(rate=-1.0)), "policy.rate = -1.0"),
+        (json.dumps(changed(extra=1)), "'policy.extra'"),
+        (WHOLE.replace('"scale": 3.0', '"scale": 1e999'), "1e999"),
+        ("[" * 100_000, "JSON"),
+        (WHOLE + " " * MAX_DOCUMENT_BYTES, "500,000"),
+    ],
+    ids=range(8),
+)
+def test_each_kind_of_damage_is_named(text: str, message: str) -> None:
+    with pytest.raises(PolicyError) as raised:
+        parse(text)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_network_without_a_document_says_what_to_do(tmp_path: Path) -> None:
+    import onnx
+
+    model = onnx.load(GOOD)
+    path = tmp_path / "foreign.onnx"
+    del model.metadata_props[:]
+    onnx.save(model, path)
+    with pytest.raises(
+        PolicyError, match=r"foreign\.onnx: contains no document .* export it again"
+    ):
+        OnnxPolicy(path)
+
+
+def refused(path: Path, **env: Any) -> str:
+    with pytest.raises(PolicyError) as raised:
+        runs.make_env(OnnxPolicy(path), "planar", env.pop("robot", None), env)
+    return str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"observation": ["heading_cos -1 to 1"]}, "observation[0] is heading_cos -1 to 1 in the"),
+        (
+            {"observation": ["goal_distance 0 to 1", *document_of().observation[1:]]},
+            "observation[0] is goal_distance 0 to 1 in the file and goal_distance 0 to 2 in acsar",
+        ),
+        (
+            {"observation": [*document_of().observation, "x 0 to 1"]},
+            "observation[7] is x 0 to 1 in the file and nothing",
+        ),
+        ({"scale": 9.0}, "scale is 9 in the file and 3"),
+        ({"rate": 20.0}, "rate is 20 in the file and 10"),
+    ],
+    ids=["name", "bounds", "number", "scale", "rate"],
+)
+def test_what_does_not_fit_is_named(values: dict[str, Any], message: str, tmp_path: Path) -> None:
+    path = relabelled(tmp_path / "policy.onnx", **values)
+    assert refused(path).startswith(f"{path}: {message}")
+
+
+@pytest.mark.parametrize(
+    "lidar",
+    [{"field_of_view": 4.71}, {"rays": 32}, {"max_range": 8.0}],
+    ids=lambda lidar: next(iter(lidar)),
+)
+def test_another_lidar_is_refused_unless_the_policy_takes_no_rays(
+    lidar: dict[str, Any], tmp_path: Path
+) -> None:
+    robot = ACSAR.with_(lidar=lidar)
+    path = fitting(tmp_path / "rays.onnx", "obstacle_goal", worlds="open:2")
+    assert "64 ranges over 6.283 rad to 5 m in the file and" in refused(
+        path, robot=robot, worlds="open:2"
+    )
+    policy = OnnxPolicy(fitting(tmp_path / "p.onnx", "obstacle_goal", OF_THE_MAP, worlds="open:2"))
+    assert not any(name.startswith("lidar") for name in policy.document.robot)
+    env = runs.make_env(policy, "planar", robot, {"worlds": "open:2"})
+    observation, _ = env.reset(seed=0)
+    env.close()
+    assert len(observation) > policy.width == OF_THE_MAP
+    assert policy(observation).shape == (2,)
+
+
+def test_a_policy_takes_whole_sensors_and_at_least_one(tmp_path: Path) -> None:
+    sizes = f"the observation has 7 or {OF_THE_MAP} or {OF_THE_MAP + 64}"
+    with pytest.raises(PolicyError, match=f"takes 6 numbers, {sizes}"):
+        fitting(tmp_path / "p.onnx", "obstacle_goal", 6, worlds="open:2")
+    path = fitting(tmp_path / "p.onnx", "obstacle_goal", 7, worlds="open:2")
+    assert "observation[7] is nothing in the file and map[90]" in refused(path, worlds="open:2")
+
+
+def test_options_of_the_task_are_compared_one_line_each(tmp_path: Path) -> None:
+    path = relabelled(
+        tmp_path / "p.onnx",
+        options={"goal_tolerance": 0.05, "goal_distance": [0.5, 3.0], "gone": 1},
+    )
+    policy = OnnxPolicy(path)
+    runs.make_env(policy, "planar", None, {}).close()
+    assert policy.differences == (
+        "goal_tolerance was 0.05 in the training and is 0.15 in this task",
+    )
+
+
+def differences(path: Path, **changes: Any) -> str:
+    """The warning about a robot."""
+    policy = OnnxPolicy(path)
+    runs.make_env(policy, "planar", ACSAR.with_(**changes), {}).close()
+    return "".join(policy.differences)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({}, ""),
+        ({"body": {"friction": 0.65}, "firmware": {"command_delay": 0.025}}, ""),
+        ({"wheel_radius": 0.055, "name": "other", "serial_port": "/dev/ttyUSB7"}, ""),
+        ({"max_linear": 1.0}, "max_linear is 1, was 0.5"),
+        ({"body": {"mass": 9.0}}, "body.mass is 9, was 4"),
+        ({"body": {"friction": 0.3}}, "body.friction is 0.3, was 0.7 to 1.2"),
+        ({"motor": {"time_constant": (0.08, 0.3, 0.08, 0.08)}}, "is 0.08, 0.3, 0.08, 0.08, was"),
+        ({"body": {"turn_factor": 2.0}}, "body.turn_factor is 2, was 1.538"),
+        ({"firmware": {"command_delay": 0.05}}, "command_delay is 0.05, was 0 to 0.02"),
+        ({"firmware": {"feedback_rate": 20.0}}, "feedback_rate is 20, was 100"),
+        ({"linear_limits": {"max_acceleration": 1.0}}, "linear_limits.max_acceleration is 1,"),
+        ({"body": {"length": 0.6}}, "footprint.length is 0.6, was 0.34"),
+    ],
+)
+def test_a_robot_far_outside_of_the_training_is_one_warning(
+    changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    warning = differences(relabelled(tmp_path / "p.onnx", robot=ALONE), **changes)
+    assert message in warning
+    assert bool(warning) == bool(message)
+
+
+def test_ranges_follow_from_the_robots_and_the_randomization() -> None:
+    varied = {
+        "latency": (0.0, 0.02),
+        "deadband": (0.1, 0.3),
+        "deadband_offset": (-0.2, 0.2),
+        "feedback_rate": (20.0, 50.0),
+        "motor_lag": (0.5, 2.0),
+        "track_width": (0.9, 1.0),
+    }
+    fast = ACSAR.with_(max_linear=2.0, motor={"time_constant": (0.1, 0.1, 0.2, 0.1)})
+    ranges = robot_ranges([ACSAR, fast], varied)
+    for name, ends in (
+        ("max_linear", (0.5, 2.0)),
+        ("motor.deadband", (0.0, 0.5)),
+        ("motor.time_constant", (0.04, 0.4)),
+        ("firmware.command_delay", (0.0, 0.02)),
+        ("firmware.feedback_rate", (20.0, 50.0)),
+        ("wheel_separation", (0.27, 0.3)),
+        ("footprint.length", (0.34, 0.34)),
+    ):
+        assert ranges[name] == pytest.approx(ends), name
+
+
+def test_driving_warns_and_the_header_contains_it(tmp_path: Path) -> None:
+    path = relabelled(tmp_path / "p.onnx", robot=ALONE, options={"goal_tolerance": 0.05})
+    policy = OnnxPolicy(path)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        done = runs.evaluate_policy(
+            policy, "planar", ACSAR.with_(body={"mass": 9.0}, max_angular=1.0), range(1)
+        )
+    messages = [str(each.message) for each in caught if each.category is AcsarWarning]
+    assert messages == [f"{path}: {line}" for line in policy.differences]
+    assert len(messages) == 2
+    assert done.header["policy"]["differences"] == list(policy.differences)
+
+
+@pytest.mark.parametrize(
+    ("robot", "changes", "message"),
+    [
+        (ALONE, {"max_linear": 1.0}, "this robot's max_linear is 1, was 0.5 in the training"),
+        (ALONE, {"max_linear": 0.4}, "max_linear is 0.4, was 0.5"),
+        (ALONE, {"body": {"width": 0.5}}, "footprint.width is 0.5, was 0.34"),
+        (ALONE, {"body": {"mass": 40.0}}, ""),
+        ({"max_linear": [0.3, 2.0]}, {"max_linear": 2.1}, "max_linear is 2.1, was 0.3 to 2"),
+        ({"max_linear": [0.3, 2.0]}, {"max_linear": 2.0}, ""),
+    ],
+)
+def test_a_real_robot_of_another_size_or_speed_is_refused(
+    robot: dict[str, Any], changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    """Before its port is opened, unless the user drives it anyway. In simulation it drives."""
+    policy = OnnxPolicy(relabelled(tmp_path / "p.onnx", robot=robot))
+    config = ACSAR.with_(**changes)
+    runs.make_env(policy, "planar", config, {}).close()
+    if message:
+        with pytest.raises(PolicyError, match="--anyway") as raised:
+            runs.make_env(policy, "/dev/ttyUSB7", config, {})
+        assert message in str(raised.value)
+        assert "\n" not in str(raised.value)
+        policy.anyway = True
+    runs.make_env(policy, "/dev/ttyUSB7", config, {}).close()
+
+
+def test_a_policy_is_shown_and_its_text_cannot_steer_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    out = tmp_path / "document.json"
+    path = relabelled(tmp_path / "p.onnx", worlds="\x1b[2J[red]a\nb")
+    monkeypatch.setattr("sys.argv", ["acsar-gym", "policy", str(path), "--json", str(out)])
+    with pytest.raises(SystemExit, match="0"):
+        cli.main()
+    shown = capsys.readouterr().out
+    for text in (ENV_ID, "goal_distance 0 to 2", "0.7 to 1.2", "[red]a"):
+        assert text in shown
+    assert "\x1b" not in shown
+    written = json.loads(out.read_text())
+    assert written.pop("origin") == "written by acsar-gym policy"
+    assert parse(json.dumps(written)) == document_of(path)
