@@ -140,7 +140,7 @@ def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
             policy.env_id = env_id
             policy.env_named = True
         if not policy.path.is_file():
-            policy.given = policy
+            policy.instance = policy
         return policy
     if is_callable(policy):
         return CallablePolicy(policy, env_id)
@@ -248,7 +248,7 @@ class SentPolicy:
     @classmethod
     def of(cls, policy: FilePolicy) -> SentPolicy:
         """Return how a policy is sent: code by its name, others with their bytes."""
-        if policy.given is not None or not isinstance(policy, CallablePolicy):
+        if policy.instance is not None or not isinstance(policy, CallablePolicy):
             return cls(policy)
         name = f"{policy.path}:{policy.function}" if policy.function else str(policy.path)
         return cls(name, policy.env_id, policy.sha256)

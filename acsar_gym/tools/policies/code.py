@@ -87,7 +87,7 @@ class CallablePolicy(FilePolicy):
 
     def _take_object(self, policy: Any) -> tuple[None, Any]:
         """Take an object itself."""
-        self.given = policy
+        self.instance = policy
         self._name = getattr(policy, "__name__", type(policy).__name__)
         self.path = Path(self._name)
         return None, self._check_callable(policy, ())

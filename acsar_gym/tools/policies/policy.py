@@ -68,7 +68,7 @@ class FilePolicy(ABC):
     """SHA-256 of the file's content, as `sha256sum` prints it."""
     function: str | None = None
     """Name of the function, if the file is a Python file."""
-    given: Any = None
+    instance: Any = None
     """The object itself, of a policy that is neither a file nor in a module."""
     act_many: Callable[[Actions], Actions] | None = None
     """Maps observations (n, numbers) to actions (n, 2), if the policy has no memory."""

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -96,26 +95,17 @@ def make_decider(model: BaseAlgorithm) -> Decide:
 
     A recurrent policy's state starts at the first call, and is kept for all robots from then on.
     """
-    policy: Any = model.policy
-    width = policy.observation_space.shape[0]
-    state = None
+    space: Any = model.observation_space
+    state: tuple[NDArray[Any], ...] | None = None
 
-    def decide(observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As the policy's `predict`, in half the time."""
-        kept = np.ascontiguousarray(observations[:, :width])
-        with torch.no_grad():
-            action = policy._predict(torch.from_numpy(kept).to(policy.device), deterministic=True)  # noqa: SLF001
-        clipped: NDArray[np.float32] = np.clip(action.cpu().numpy(), -1.0, 1.0)
-        return clipped
-
-    def decide_with_state(observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def decide(observations: NDArray[np.float32]) -> NDArray[Any]:
         nonlocal state
         starts = np.full(len(observations), state is None)
-        kept = observations[:, :width]
-        action, state = policy.predict(kept, state, starts, deterministic=True)
-        return np.asarray(action, np.float32)
+        kept = np.ascontiguousarray(observations[:, : space.shape[0]])
+        actions, state = model.predict(kept, state, starts, deterministic=True)
+        return actions
 
-    return decide_with_state if hasattr(policy, "lstm_actor") else decide
+    return decide
 
 
 class CheckpointWriter(RolloutCallback):
