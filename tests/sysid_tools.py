@@ -16,8 +16,7 @@ from acsar_gym.recording.types import WireLog
 from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.excitation import StretchedLink
-from acsar_gym.tools.sysid.identify import Identification
-from acsar_gym.tools.sysid.parameter_findings import ParameterFinding
+from acsar_gym.tools.sysid.identify import Identification, ParameterFinding
 
 ACSAR = RobotConfig.preset("acsar")
 TOLERANCES = {
@@ -54,32 +53,26 @@ def draw_motors(seed: int) -> RobotConfig:
     )
 
 
-MISFITS: dict[str, tuple[str, float, float]] = {
-    "backward-gain": ("backward weaker than forward", 0.75, 0.92),
-    "overshoot": ("is missed by", 0.1, 0.4),
-    "reversal-hold": ("is missed by", 0.1, 0.3),
-    "feedback-factor": ("times too large", 1.5, 2.0),
-    "rpm": ("rpm", 0.0, 0.0),
-    "top-speed": ("saturates at", 5.0, 7.0),
+MISFITS: dict[str, tuple[float, float]] = {
+    "backward-gain": (0.75, 0.92),
+    "overshoot": (0.1, 0.4),
+    "reversal-hold": (0.1, 0.3),
+    "feedback-factor": (1.5, 2.0),
+    "rpm": (30.0 / math.pi, 30.0 / math.pi),
+    "top-speed": (5.0, 7.0),
 }
-"""Habits of boards that the model doesn't have: what names them, and from where to where they are
-drawn."""
+"""Habits of boards that the model doesn't have, and from where to where they are drawn."""
 
 
-def draw_misfit(seed: int) -> tuple[RobotConfig, tuple[str, ...], str]:
-    """Draw a board that the model doesn't describe.
-
-    Returns:
-        The robot, its quirks, and what has to be said.
-    """
+def draw_misfit(seed: int) -> tuple[RobotConfig, tuple[str, ...]]:
+    """Draw a board that the model doesn't describe: the robot, and its quirks."""
     rng = np.random.default_rng([seed, 1])
     name = tuple(MISFITS)[seed % len(MISFITS)]
-    said, low, high = MISFITS[name]
-    size, hidden = float(rng.uniform(low, high)), draw_motors(seed)
+    size = float(rng.uniform(*MISFITS[name]))
+    hidden = draw_motors(seed)
     if name == "top-speed":
-        return hidden.with_(motor={"max_speed": size}), (), said
-    quirk = f"feedback-factor={30.0 / math.pi}" if name == "rpm" else f"{name}={size}"
-    return hidden, (quirk,), said
+        return hidden.with_(motor={"max_speed": size}), ()
+    return hidden, (f"{'feedback-factor' if name == 'rpm' else name}={size}",)
 
 
 @dataclass(frozen=True)

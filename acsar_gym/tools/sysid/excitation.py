@@ -49,7 +49,7 @@ LONGEST_EXCITATION = 600.0
 
 
 class ExcitationPlan(NamedTuple):
-    """Wheel speeds for each tick, (n, 4) [rad/s]; the pause lies between the two parts."""
+    """Wheel speeds for each tick before and after the pause, (n, 4) [rad/s]."""
 
     before: Floats
     after: Floats
@@ -66,11 +66,14 @@ def plan_excitation(
     moving = duration - LONGEST_PAUSE - BEFORE_PAUSE_TIME
     first, slow = (round(share * moving / period) for share in EXCITATION_SHARES)
     steps = _make_steps(first, top, period, rng)
+
+    # A staircase that lingers near zero, then a constant speed until the pause.
     turn = (np.arange(slow)[:, None] / slow + STAIRCASE_STARTS) % 1.0
     triangle = 1.0 - np.abs((4.0 * turn + 1.0) % 4.0 - 2.0)
     rise = np.sign(triangle) * np.abs(triangle) ** STAIRCASE_EXPONENT
     constant = np.array([1.0, -1.0, 1.0, -1.0]) * min(PAUSE_SPEED, top)
     held = np.tile(constant, (round(BEFORE_PAUSE_TIME / period), 1))
+
     wheels = [0, 1, 1, 0] if sides else [0, 1, 2, 3]
     return ExcitationPlan(
         np.concatenate((steps, -min(STAIRCASE_TOP, top) * rise, held))[:, wheels],
@@ -83,12 +86,14 @@ def _make_steps(ticks: int, top: float, period: float, rng: np.random.Generator)
     """Speeds that jump at random times, independently for each wheel."""
     speeds = np.empty((ticks, 4))
     for wheel in range(4):
-        k, sign = 0, 1.0
-        while k < ticks:
+        tick = 0
+        sign = 1.0
+        while tick < ticks:
             held = round(rng.uniform(*STEP_HOLD) / period)
             sign = -sign if rng.random() < 0.7 else sign
-            speeds[k : k + held, wheel] = sign * rng.uniform(min(SLOWEST_STEP, top / 2.0), top)
-            k += held
+            speed = sign * rng.uniform(min(SLOWEST_STEP, top / 2.0), top)
+            speeds[tick : tick + held, wheel] = speed
+            tick += held
     return speeds
 
 
@@ -109,10 +114,10 @@ def drive_excitation(
     """Drive the manoeuvre; the robot is stopped on any way out.
 
     Args:
-        link: to the robot, whose wheels are lifted.
-        config: of the robot.
-        duration: [s].
-        recorder: records it as well.
+        link: Link to the robot, whose wheels are lifted.
+        config: Robot configuration.
+        duration: Length of the manoeuvre [s].
+        recorder: Recorder of the drive.
 
     Raises:
         ConfigError: the duration is out of range.
@@ -121,29 +126,30 @@ def drive_excitation(
     if not SHORTEST_EXCITATION <= duration <= LONGEST_EXCITATION:
         limits = f"{SHORTEST_EXCITATION:g} to {LONGEST_EXCITATION:g} s"
         raise ConfigError(f"duration = {duration}: must be {limits}")
+
+    # The wheels don't answer as configured: that is what is to be found.
     tape = WireTape()
     taped = RecordedLink(StretchedLink(link), tape, config)
-    # The wheels don't answer as configured: that is what is to be found.
     with Robot(taped, config.with_(wheel_check=False), recorder=recorder) as robot:
         sides = link.commands_sides
         plan = plan_excitation(config, duration, config.period * TICK_STRETCH, sides=sides)
-        begin = taped.now()
+        start = taped.now()
 
         def drive(speeds: list[float]) -> None:
             if sides:  # within the limits of acceleration, which are those of its controller
-                right, left = speeds[:2]
-                radii, separation = config.wheel_radii, config.effective_separation
-                robot.drive(*kinematics.compute_twist(right, left, left, right, *radii, separation))
+                a, b, c, d = speeds
+                geometry = (*config.wheel_radii, config.effective_separation)
+                robot.drive(*kinematics.compute_twist(a, b, c, d, *geometry))
             else:
                 robot.tick(speeds)
-            robot.safety.check(taped.now() - begin)
+            robot.safety.check(taped.now() - start)
 
         for speeds in plan.before.tolist():
             drive(speeds)
         still = 0
         for _ in range(plan.pause):
             robot.listen()
-            robot.safety.check(taped.now() - begin)
+            robot.safety.check(taped.now() - start)
             still = still + 1 if max(map(abs, robot.speeds)) < STANDING_SPEED else 0
             if still * config.period > STANDING_TIME:
                 break

@@ -1,112 +1,244 @@
-"""The fit of motors and board: robust least squares; deadbands and time-out by search.
+"""The estimator: motors and board by robust least squares, with what is usual as prior.
 
-`fit_motors` reads top to bottom: a coarse search, least squares from several averaging times, how
-the board rounds, deadbands and the rest in turn, then the covariance. The model and its residuals
-are those of `response.FitProblem`.
+`WHEEL_PARAMETERS` and `BOARD_PARAMETERS` are the table of what is fitted. Priors are residuals like
+any other, so a log that shows nothing of a parameter leaves it at its prior, and its covariance
+tells so. `fit_tracks` reads top to bottom: a coarse search, least squares from a few averaging
+times, the way of rounding, then the covariance.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import require_extra
-from acsar_gym.protocol import MOTORS
-from acsar_gym.tools.sysid import board_log, response
-from acsar_gym.tools.sysid.board_log import (
-    TURNING_SPEED,
-    BoardTrack,
-    Estimate,
-    Floats,
-    Identifiability,
-    add_cut_half,
-)
-from acsar_gym.tools.sysid.response import BoardTimes, FitProblem, WheelModel
+from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
+from acsar_gym.tools.sysid.response import BoardModel, Responder, Rounding, WheelModel
 
 with require_extra("identification", "scipy"):
     from scipy import optimize
 
 Bools = NDArray[np.bool_]
 
-SMOOTH_PARAMETERS = ("motor.time_constant", "motor.gain", "motor.acceleration")
-"""Parameters of a wheel in the problem's order."""
-WHEEL_LOW = np.array([2e-3, 0.01, 0.0])
-WHEEL_HIGH = np.array([3.0, 100.0, 1.0])
-"""Bounds of lag [s], gain and slowness [s^2/rad]."""
-DELAY_BOUNDS = (-0.03, 0.5)
-"""Bounds of the delay to the middle of the window [s]."""
-LONGEST_WINDOW = 0.4
-"""Longest averaging time [s]; the shortest is a loop."""
+
+class Parameter(NamedTuple):
+    """A row of the table of what is fitted."""
+
+    name: str
+    """Field of the robot's file, of which a ramp is the inverse."""
+    mean: float
+    """What is usual, unless the robot's file is taken for it."""
+    deviation: float
+    """By how much robots differ from that; of a logarithm, as a share."""
+    bounds: tuple[float, float]
+    """Least and largest value that a fit tries."""
+    step: float
+    """Step of its derivative."""
+    resolution: float
+    """Least half width of an interval, since the phases of the board's loops move values by so
+    much, whatever a log's length."""
+    is_log: bool = False
+    """Whether the logarithm is fitted."""
+    manoeuvre: str = "sudden changes of 4 rad/s or more, each held for 0.3 s"
+    """What narrows it."""
+
+    @property
+    def missing(self) -> str:
+        """What is said of it if a log doesn't show it."""
+        return f"not narrowed by this log: drive {self.manoeuvre}"
+
+    def to_fit(self, value: float) -> float:
+        """Turn a value into the number that is fitted."""
+        bounded = min(max(value, self.bounds[0]), self.bounds[1])
+        return math.log(bounded) if self.is_log else bounded
+
+    def from_fit(self, number: float) -> float:
+        """Turn a fitted number into a value."""
+        return math.exp(number) if self.is_log else number
+
+
+WHEEL_PARAMETERS = (
+    Parameter(
+        name="motor.time_constant",
+        mean=0.1,
+        deviation=1.0,
+        bounds=(2e-3, 3.0),
+        step=0.02,
+        resolution=0.03,
+        is_log=True,
+    ),
+    Parameter(
+        name="motor.gain",
+        mean=1.0,
+        deviation=0.2,
+        bounds=(0.01, 100.0),
+        step=2e-3,
+        resolution=0.015,
+        is_log=True,
+        manoeuvre="a second at 2 rad/s or more",
+    ),
+    Parameter(
+        name="motor.acceleration",
+        mean=0.03,
+        deviation=0.04,
+        bounds=(0.0, 1.0),
+        step=5e-4,
+        resolution=1e-3,
+    ),
+    Parameter(
+        name="motor.deadband",
+        mean=0.2,
+        deviation=0.5,
+        bounds=(0.0, 2.0),
+        step=0.02,
+        resolution=0.03,
+        manoeuvre="a slow staircase through zero",
+    ),
+)
+"""Of each wheel, as the fields of `WheelModel`."""
+BOARD_PARAMETERS = (
+    Parameter(
+        name="firmware.command_delay",
+        mean=0.02,
+        deviation=0.06,
+        bounds=(0.0, 0.5),
+        step=1e-3,
+        resolution=0.01,
+    ),
+    Parameter(
+        name="encoder.window",
+        mean=0.05,
+        deviation=0.05,
+        bounds=(5e-4, 0.4),
+        step=2e-3,
+        resolution=0.02,
+    ),
+    Parameter(
+        name="firmware.command_timeout",
+        mean=0.5,
+        deviation=1.0,
+        bounds=(0.02, 3600.0),
+        step=2e-3,
+        resolution=0.015,
+        manoeuvre="2 s without commands while wheels turn",
+    ),
+)
+"""Of all wheels, as the fields of `BoardModel`."""
+DELAY, WINDOW, TIMEOUT = range(-len(BOARD_PARAMETERS), 0)
+"""Places of the board's numbers in the vector of parameters, behind those of the wheels."""
+
+SEARCHED_LAGS = (0.03, 0.08, 0.2)
+SEARCHED_SLOWNESSES = (0.005, 0.03)
+SEARCHED_DELAYS = np.arange(0.0, 0.25, 0.02)
+SEARCHED_DEADBANDS = (0.05, 0.4, 0.8)
+SEARCHED_WINDOWS = (0.015, 0.05, 0.1)
+"""Starting points: lags, ramps, delays and deadbands of a search, then averaging times."""
 NO_TIMEOUT = 3600.0
 """Time-out of a board that has none [s]."""
-SEARCHED_DELAYS = np.arange(-0.01, 0.2, 0.01)
-SEARCHED_LAGS = (0.02, 0.05, 0.1, 0.2, 0.4)
-SEARCHED_SLOWNESSES = (0.003, 0.02, 0.05)
-"""Values of the coarse search."""
-SEARCHED_WINDOWS = (0.005, 0.015, 0.025, 0.0375, 0.05, 0.0625, 0.075, 0.1, 0.14)
-"""Averaging times from which a fit starts [s]."""
-SOLVER_OPTIONS: dict[str, Any] = {
-    "loss": "soft_l1",
-    "x_scale": "jac",
-    "ftol": 1e-6,
-    "xtol": 1e-6,
-    "tr_solver": "lsmr",  # the exact one decomposes the whole matrix, ten times as slowly
-}
-"""How `scipy.optimize.least_squares` solves."""
+TIMEOUT_GRID = 0.02
+"""Distance of the searched time-outs [s]; nearer than what least squares moves."""
+LONGEST_TIMEOUT = 5.0
+"""Longest searched time-out [s]: pauses are hardly longer."""
 LEAST_LOSS_SCALE = 0.1
 """Least residual at which the loss becomes linear [rad/s]: an encoder count, so that a fit finds
 the mean of two counts and not the more frequent one."""
-COUNTED_SIGMAS = 2.0
-"""A window that counts tell lies within so many standard errors of the fitted one."""
-CUT_SPEED = 1.0
-"""Wheels faster than this show whether a board cuts speeds, whatever its deadband [rad/s]."""
-CUT_OFFSETS = (0.3, 0.7)
-"""Boards that cut report speeds that are too slow by half a step: by such parts of one."""
-LONGEST_COUNT_WINDOW = 60
-"""Longest window that is compared with the printed counts [loops]."""
-DEADBAND_GRID = 0.01
-"""Distance of the candidates, and least half width of an interval [rad/s]."""
-LARGEST_DEADBAND = 2.0
-"""Largest candidate [rad/s]."""
-CORRELATED_RESIDUALS = 2.0
-"""Neighbouring residuals that count as one."""
-DEADBAND_EVIDENCE = 60.0
-"""Excess cost, in typical losses of a reading, from which a value clearly fits worse."""
-DEADBAND_SIGMAS = 2.5
-"""Standard deviations in half an interval."""
-TIMEOUT_GRID = 0.01
-"""Distance of the candidates [s]."""
-STOPPING_SHARE = 0.6
-"""Wheels below this share of their speed before the pause are stopping."""
-TYPICAL_LAG = 0.15
-"""Typical delay and lag, for a first guess of the time-out [s]."""
+CORRELATED_LINES = 5.0
+"""Neighbouring lines that count as one beside the priors."""
+NORMAL_MEDIAN = 1.48
+"""Standard deviation of a normal distribution by its median size."""
+LEAST_NOISE = 0.003
+"""Two decimals scatter by so much [rad/s]."""
+RESIDUAL_BLOCK = 0.5
+"""Residuals within such a time and of one wheel may depend on each other [s]."""
+ABOVE_TOP = 1.05
+"""Lines that are faster than this share of the configured top speed show that it isn't the top."""
+LEAST_CUT = 0.1
+"""Finer steps hide whether speeds are cut to them or rounded [rad/s]."""
+CLEARLY_LESS = 0.95
+"""Share of the cost below which speeds are cut, not rounded."""
+SEARCH_EVALUATIONS = 10
+EVALUATIONS = 40
+"""Evaluations of the residuals from a starting point, and to the end, at most."""
 
 
-class FitSolution(NamedTuple):
-    """Parameters of a `FitProblem`."""
+@dataclass(frozen=True, eq=False)
+class FitProblem:
+    """Tracks of one robot, the wheels that turned, and the model's residuals.
 
-    x: Floats
-    """Parameters, as `FitProblem` orders them."""
-    deadbands: tuple[float, ...]
-    """Of the wheels [rad/s]."""
-    free: Bools
-    """Which parameters were fitted."""
-    scale: float
-    """Residual at which the loss becomes linear [rad/s]."""
+    Parameters are one vector: those of each wheel, then the board's.
+    """
 
+    tracks: Sequence[BoardTrack]
+    wheels: tuple[int, ...]
+    responder: Responder
+    prior: Floats
+    """Means of the parameters."""
 
-class SpeedRounding(NamedTuple):
-    """How a board rounds speeds: see `mean_printed_speeds`."""
+    @property
+    def rows(self) -> tuple[Parameter, ...]:
+        """The row of the table for each parameter."""
+        return WHEEL_PARAMETERS * len(self.wheels) + BOARD_PARAMETERS
 
-    counts: float
-    step: float
-    cut: float = 0.0
+    @property
+    def deviations(self) -> Floats:
+        """Of the priors."""
+        return np.array([row.deviation for row in self.rows])
+
+    @property
+    def held_out(self) -> Bools:
+        """Which lines of all tracks the fit doesn't see."""
+        return np.concatenate([track.held_out for track in self.tracks])
+
+    def split(self, x: Floats) -> tuple[list[WheelModel], BoardModel]:
+        """Name the numbers of a parameter vector."""
+        values = [row.from_fit(number) for row, number in zip(self.rows, x.tolist(), strict=True)]
+        wheels = np.reshape(values[:DELAY], (-1, len(WHEEL_PARAMETERS))).tolist()
+        return [WheelModel(*wheel) for wheel in wheels], BoardModel(*values[DELAY:])
+
+    def join(self, wheels: Sequence[WheelModel], times: BoardModel) -> Floats:
+        """Make a parameter vector; values beyond the bounds are moved to them."""
+        values = [*itertools.chain.from_iterable(wheels), *times]
+        return np.array([row.to_fit(value) for row, value in zip(self.rows, values, strict=True)])
+
+    def residuals(self, x: Floats) -> Floats:
+        """By how much all lines are off, (wheels, lines) [rad/s]."""
+        models, times = self.split(x)
+        return np.array([self.wheel_residuals(k, model, times) for k, model in enumerate(models)])
+
+    def wheel_residuals(self, place: int, model: WheelModel, times: BoardModel) -> Floats:
+        """By how much all lines of one wheel are off [rad/s]."""
+        return self.responder.residuals(self.tracks, self.wheels[place], model, times)
+
+    def jacobian(self, x: Floats, base: Floats) -> Floats:
+        """Derivatives of the residuals, (wheels, lines, parameters), given these."""
+        columns = np.zeros((*base.shape, len(x)))
+        width = len(WHEEL_PARAMETERS)
+        for k in range(len(self.wheels)):
+            for p in (*range(k * width, (k + 1) * width), DELAY, WINDOW, TIMEOUT):
+                moved = x.copy()
+                moved[p] += self.rows[p].step
+                models, times = self.split(moved)
+                columns[k, :, p] = (
+                    self.wheel_residuals(k, models[k], times) - base[k]
+                ) / self.rows[p].step
+        return columns
+
+    def blocks(self) -> NDArray[np.intp]:
+        """Number of the block of time that each line belongs to."""
+        first = 0
+        numbers = []
+        for track in self.tracks:
+            block = ((track.stamps - track.stamps[0]) / RESIDUAL_BLOCK).astype(np.intp)
+            numbers.append(first + block)
+            first += int(block[-1]) + 1
+        return np.concatenate(numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,362 +246,198 @@ class MotorFit:
     """What was fitted of wheels and board."""
 
     problem: FitProblem
-    """With the tracks and the wheels that turned."""
-    solution: FitSolution
+    x: Floats
+    """The parameters."""
     spread: Floats
-    """Covariance of the parameters."""
-    slack: Floats
-    """By how much they may be off since lags that the log can't tell were held."""
-    deadbands: tuple[Estimate | None, ...]
-    """Of the wheels in the problem; None where the log can't tell."""
-    quantum: Estimate | None
-    """Step of the printed numbers; None where the log can't tell."""
-    rounding: SpeedRounding
-    counted: bool
-    """Whether whole encoder counts tell the window, better than the fit."""
-    bounded: bool
-    """Whether the window is the longest with which the delay isn't negative."""
+    """Their covariance."""
+    residuals: Floats
+    """By how much all lines are off, (wheels, lines) [rad/s]."""
+    jacobian: Floats
+    """Derivatives of the residuals, (wheels, lines, parameters)."""
 
     @property
     def wheels(self) -> list[WheelModel]:
-        """Parameters of the wheels."""
-        return self.problem.split(self.solution.x, self.solution.deadbands)[0]
+        """Motors of the wheels that turned."""
+        return self.problem.split(self.x)[0]
 
     @property
-    def times(self) -> BoardTimes:
+    def times(self) -> BoardModel:
         """Times of the board."""
-        return self.problem.split(self.solution.x, self.solution.deadbands)[1]
+        return self.problem.split(self.x)[1]
 
 
 def configured_wheel(config: RobotConfig, wheel: int) -> WheelModel:
     """Make the model of one wheel from a robot's configuration."""
-    own = config.motor.of_wheel(wheel)
-    return WheelModel(own.time_constant, own.gain, 1.0 / own.acceleration, own.deadband)
+    motor = config.motor.of_wheel(wheel)
+    return WheelModel(motor.time_constant, motor.gain, 1.0 / motor.acceleration, motor.deadband)
 
 
-def configured_times(config: RobotConfig) -> BoardTimes:
+def configured_times(config: RobotConfig) -> BoardModel:
     """Make the board's times from a robot's configuration."""
     board = config.firmware
     timeout = board.command_timeout or NO_TIMEOUT
-    return BoardTimes(board.command_delay, config.encoder.window, timeout)
+    return BoardModel(board.command_delay, config.encoder.window, timeout)
 
 
-def fit_motors(
-    tracks: Sequence[BoardTrack], config: RobotConfig, known: Identifiability
-) -> MotorFit | None:
-    """Fit what a log can tell.
+def fit_tracks(
+    tracks: Sequence[BoardTrack], wheels: Sequence[int], config: RobotConfig, step: float
+) -> MotorFit:
+    """Fit motors and board.
 
     Args:
-        tracks: of one robot.
-        config: of the robot; what the log can't tell stays as configured.
-        known: what it can tell.
-
-    Returns:
-        The fit; None where the log tells nothing of any wheel.
+        tracks: Tracks of one robot.
+        wheels: Those that turned.
+        config: The robot; gains and averaging time are expected to be nearly its.
+        step: Step of the printed speeds [rad/s].
     """
-    wheels = [k for k, w in enumerate(MOTORS) if any(known.can(n, w) for n in SMOOTH_PARAMETERS)]
-    if not wheels:
-        return None
-    problem = FitProblem.of(tracks, wheels, config)
-    printed = np.concatenate([track.speeds for track in tracks])
-    quantum = board_log.find_quantum(printed)
-    # Ramp and delay are fitted with every lag, even where the log can't tell them apart.
-    names = ("motor.time_constant", "motor.gain", "motor.time_constant")
-    rows = [known.can(name, MOTORS[wheel]) for wheel in wheels for name in names]
-    delay = any(known.can("motor.time_constant", MOTORS[wheel]) for wheel in wheels)
-    free = np.array([*rows, delay, delay, known.can("firmware.command_timeout")])
-    # A wheel of which the log can't tell a deadband stays at the configured one.
-    usual = [
-        None if known.can("motor.deadband", MOTORS[wheel]) else configured_wheel(config, wheel)[3]
-        for wheel in wheels
-    ]
+    problem = make_problem(tracks, wheels, config, Rounding(step))
+    start = _search_start(problem)
+    problem = replace(problem, prior=_with(problem.prior, TIMEOUT, start[TIMEOUT]))
+    fits = [_solve(problem, _with(start, WINDOW, w), SEARCH_EVALUATIONS) for w in SEARCHED_WINDOWS]
+    best = min(fits, key=lambda x: _cost(problem, x))
+    if step > LEAST_CUT:
+        cuts = replace(problem, responder=replace(problem.responder, rounding=Rounding(step, True)))
+        cut = _solve(cuts, best, SEARCH_EVALUATIONS)
+        if _cost(cuts, cut) < CLEARLY_LESS * _cost(problem, best):
+            problem = cuts
+            best = cut
+    x = _solve(problem, best, EVALUATIONS)
 
-    x, bands = _find_start(problem, config, free, usual)
-    solution = search_window(problem, x, bands, free)
-    rounding, window = find_rounding(problem, config, solution, quantum)
-    x, free = solution.x.copy(), solution.free.copy()
-    counted = window is not None and bool(free[-2])
-    if counted:
-        x[-2], free[-2] = window, False
-    if rounding.cut:
-        tracks = [replace(one, speeds=add_cut_half(one.speeds, rounding.cut)) for one in tracks]
-        problem = FitProblem.of(tracks, wheels, config)
-    solution = solve_problem(problem, x, solution.deadbands, free)
-    bounded = bool(free[-2]) and problem.split(solution.x, solution.deadbands)[1].delay < 0.0
-    if bounded:  # middle and window are hardly told apart: no board answers before its command
-        x, free = solution.x.copy(), free.copy()
-        x[-2], free[-2] = max(problem.dt, 2.0 * x[-3]), False
-        solution = solve_problem(problem, x, solution.deadbands, free)
-    found: list[Estimate] = []
-    for _ in range(2):  # deadbands with the rest given, and the rest with the deadbands given
-        models, times = problem.split(solution.x, solution.deadbands)
-        found = [
-            fit_deadband(problem, k, model, times, rounding, usual[k])
-            for k, model in enumerate(models)
-        ]
-        solution = solve_problem(problem, solution.x, [one.value for one in found], solution.free)
-    return MotorFit(
-        problem,
-        solution,
-        estimate_covariance(problem, solution),
-        estimate_slack(problem, solution),
-        tuple(one if own is None else None for one, own in zip(found, usual, strict=True)),
-        quantum,
-        rounding,
-        counted,
-        bounded,
+    residuals = problem.residuals(x)
+    jacobian = problem.jacobian(x, residuals)
+    spread = _estimate_spread(problem, residuals, jacobian)
+    return MotorFit(problem, x, spread, residuals, jacobian)
+
+
+def make_problem(
+    tracks: Sequence[BoardTrack], wheels: Sequence[int], config: RobotConfig, rounding: Rounding
+) -> FitProblem:
+    """Make the problem of a robot with this loop rate and top speed.
+
+    Feedback in another unit exceeds the top speed, and then nothing is known of that.
+    """
+    fastest = max(float(np.abs(track.speeds).max()) for track in tracks)
+    top = config.motor.max_speed
+    if fastest > ABOVE_TOP * top:
+        top = 1.1 * fastest
+    responder = Responder(1.0 / config.firmware.loop_rate, top, rounding)
+    problem = FitProblem(tracks, tuple(wheels), responder, np.empty(0))
+    usual = WheelModel(*(row.mean for row in WHEEL_PARAMETERS))
+    models = [usual._replace(gain=configured_wheel(config, wheel).gain) for wheel in wheels]
+    times = BoardModel(*(row.mean for row in BOARD_PARAMETERS))
+    return replace(
+        problem, prior=problem.join(models, times._replace(window=config.encoder.window))
     )
 
 
-def _find_start(
-    problem: FitProblem, config: RobotConfig, free: Bools, usual: Sequence[float | None]
-) -> tuple[Floats, list[float]]:
-    """First parameters and deadbands; decides in `free` whether there is a time-out to fit."""
-    times = configured_times(config)
-    if free[-1]:
-        guess = guess_timeout(problem.tracks)
-        free[-1] = np.isfinite(guess)
-        times = times._replace(timeout=min(guess, NO_TIMEOUT))
-    bands = [own or 0.0 for own in usual]
-    x = problem.join([configured_wheel(config, wheel) for wheel in problem.wheels], times)
-    if not free[-3]:
-        return x, bands
-    for _ in range(2):
-        models, found = search_start(problem, bands, times)
-        bands = [
-            fit_deadband(problem, k, model, found, SpeedRounding(0.0, 0.0), usual[k]).value
-            for k, model in enumerate(models)
-        ]
-    rough = problem.join(models, found)
-    if free[-1]:  # the time-out that explains the pauses best, within 0.4 s of the guess
-        around = np.arange(-0.4, 0.4, TIMEOUT_GRID) + found.timeout
-        candidates = around[around > TIMEOUT_GRID]
-        costs = []
-        for timeout in candidates.tolist():
-            other = found._replace(timeout=timeout)
-            rest = [problem.residuals_of(k, model, other) for k, model in enumerate(models)]
-            costs.append(float(np.abs(np.concatenate(rest)).sum()))
-        rough[-1] = candidates[int(np.argmin(costs))]
-    return np.where(free, rough, x), bands
+def _with(x: Floats, place: int, value: float) -> Floats:
+    moved = x.copy()
+    moved[place] = value
+    return moved
 
 
-def guess_timeout(tracks: Sequence[BoardTrack]) -> float:
-    """A first guess of the time-out [s]; inf where wheels kept turning in every pause."""
-    found = math.inf
-    for track in tracks:
-        for k in track.pauses:
-            active = np.abs(track.commands[k]) >= TURNING_SPEED
-            begin, end = track.arrivals[k], track.arrivals[k + 1]
-            inside = (track.stamps > begin + 0.02) & (track.stamps < end)
-            if not active.any() or not inside.any():
-                continue
-            share = np.mean(track.speeds[inside][:, active] / track.commands[k][active], axis=1)
-            slower = np.flatnonzero(share < STOPPING_SHARE * max(share[0], 0.5))
-            if len(slower):
-                after = float(track.stamps[inside][slower[0]] - begin)
-                found = min(found, max(after - TYPICAL_LAG, TIMEOUT_GRID))
-    return found
+def _cost(problem: FitProblem, x: Floats) -> float:
+    """Sum of the sizes of the residuals that a fit sees, which outliers hardly change."""
+    return float(np.abs(problem.residuals(x)[:, ~problem.held_out]).sum())
 
 
-def search_start(
-    problem: FitProblem, deadbands: Sequence[float], times: BoardTimes
-) -> tuple[list[WheelModel], BoardTimes]:
-    """Search the start of a fit on a grid of delays, lags and ramps; gains are linear."""
-    best_cost, best = math.inf, ([WheelModel(0.0, 0.0, 0.0, 0.0)], times)
+def _search_start(problem: FitProblem) -> Floats:
+    """Search delay, lags and deadbands on a grid, then the time-out."""
+    models, times = problem.split(problem.prior)
+    times = times._replace(timeout=NO_TIMEOUT)
+    starts: list[tuple[float, float, list[WheelModel]]] = []
     for delay in SEARCHED_DELAYS.tolist():
-        own, models, cost = times._replace(delay=delay), [], 0.0
-        for k, band in enumerate(deadbands):
-            measured, found = problem.measured(k), []
-            for lag in SEARCHED_LAGS:
-                for slowness in SEARCHED_SLOWNESSES:
-                    model = WheelModel(lag, 1.0, slowness, band)
-                    answer = problem.residuals_of(k, model, own) + measured
-                    gain = float(answer @ measured) / max(float(answer @ answer), 1e-9)
-                    loss = float(np.abs(gain * answer - measured).sum())
-                    found.append((loss, model._replace(gain=gain)))
-            loss, model = min(found)
-            models.append(model)
-            cost += loss
-        if cost < best_cost:
-            best_cost, best = cost, (models, own)
-    return best
+        times = times._replace(delay=delay)
+        wheels = [_search_wheel(problem, k, model, times) for k, model in enumerate(models)]
+        starts.append((sum(cost for cost, _ in wheels), delay, [model for _, model in wheels]))
+    _, delay, models = min(starts)
+    x = problem.join(models, times._replace(delay=delay))
+
+    longest = max(track.longest_pause for track in problem.tracks)
+    timeouts = np.arange(TIMEOUT_GRID, min(longest, LONGEST_TIMEOUT), TIMEOUT_GRID).tolist()
+    tried = [_with(x, TIMEOUT, timeout) for timeout in (NO_TIMEOUT, *timeouts)]
+    return min(tried, key=lambda start: _cost(problem, start))
 
 
-def solve_problem(
-    problem: FitProblem,
-    x: Floats,
-    deadbands: Sequence[float],
-    free: Bools,
-    evaluations: int = 40,
-) -> FitSolution:
-    """Fit the free parameters by robust least squares.
+def _search_wheel(
+    problem: FitProblem, place: int, model: WheelModel, times: BoardModel
+) -> tuple[float, WheelModel]:
+    """Search lag and deadband of one wheel; its gain is linear. Returns the cost, too."""
+    chosen = ~problem.held_out
+    wheel = problem.wheels[place]
+    printed = np.concatenate([track.speeds[:, wheel] for track in problem.tracks])[chosen]
+    candidates = []
+    searched = itertools.product(SEARCHED_LAGS, SEARCHED_SLOWNESSES, SEARCHED_DEADBANDS)
+    for lag, slowness, deadband in searched:
+        tried = model._replace(lag=lag, slowness=slowness, deadband=deadband)
+        answer = problem.wheel_residuals(place, tried, times)[chosen] + printed
+        factor = float(answer @ printed) / max(float(answer @ answer), 1e-9)
+        cost = float(np.abs(factor * answer - printed).sum())
+        candidates.append((cost, tried._replace(gain=factor * model.gain)))
+    return min(candidates)
 
-    Args:
-        problem: to solve.
-        x: start.
-        deadbands: of the wheels, which stay [rad/s].
-        free: which parameters may move.
-        evaluations: of the residuals, at most.
-    """
-    n = len(problem.wheels)
-    low = np.concatenate((np.tile(WHEEL_LOW, n), [DELAY_BOUNDS[0], problem.dt, 0.02]))
-    high = np.concatenate((np.tile(WHEEL_HIGH, n), [DELAY_BOUNDS[1], LONGEST_WINDOW, NO_TIMEOUT]))
-    start = np.clip(x, low, high)
-    rest = problem.residuals(start, deadbands)
-    scale = max(LEAST_LOSS_SCALE, 1.5 * float(np.median(np.abs(rest))))
 
-    def complete(part: Floats) -> Floats:
-        moved = start.copy()
-        moved[free] = part
-        return moved
+def _solve(problem: FitProblem, start: Floats, evaluations: int) -> Floats:
+    """Fit all parameters by robust least squares."""
+    chosen = ~problem.held_out
+    errors = problem.residuals(start)[:, chosen]
+    scale = _loss_scale(errors)
+    noise = NORMAL_MEDIAN * float(np.median(np.abs(errors)))
+    weight = 1.0 / (scale * math.sqrt(CORRELATED_LINES))
+    deviations = problem.deviations * max(1.0, scale / max(noise, LEAST_NOISE))
+    low, high = np.array([[row.to_fit(end) for end in row.bounds] for row in problem.rows]).T
 
-    def residuals(part: Floats) -> Floats:
-        return problem.residuals(complete(part), deadbands)
+    def residuals(x: Floats) -> Floats:
+        lines = problem.residuals(x)[:, chosen].ravel() * weight
+        return np.append(lines, (x - problem.prior) / deviations)
 
-    def jacobian(part: Floats) -> Floats:
-        return np.asarray(problem.jacobian(complete(part), deadbands)[:, free])
+    def jacobian(x: Floats) -> Floats:
+        base = problem.residuals(x)
+        lines = problem.jacobian(x, base)[:, chosen].reshape(-1, len(x)) * weight
+        return np.vstack((lines, np.diag(1.0 / deviations)))
 
     result = optimize.least_squares(
         residuals,
-        np.clip(start[free], low[free] + 1e-9, high[free] - 1e-9),
+        np.clip(start, low + 1e-9, high - 1e-9),
         jac=jacobian,
-        bounds=(low[free], high[free]),
-        f_scale=scale,
+        bounds=(low, high),
+        loss="soft_l1",
+        f_scale=1.0 / math.sqrt(CORRELATED_LINES),
+        x_scale="jac",
+        ftol=1e-6,
+        xtol=1e-6,
+        tr_solver="lsmr",  # the exact solver decomposes the whole matrix, ten times as slowly
         max_nfev=evaluations,
-        **SOLVER_OPTIONS,
     )
-    return FitSolution(complete(result.x), tuple(deadbands), free, scale)
+    return np.asarray(result.x)
 
 
-def search_window(
-    problem: FitProblem, x: Floats, deadbands: Sequence[float], free: Bools
-) -> FitSolution:
-    """Fit from several averaging times: cost is flat along it, and has several minima.
-
-    Arguments as for `solve_problem`.
-    """
-    if not free[-2]:
-        return solve_problem(problem, x, deadbands, free)
-    fixed = free.copy()
-    fixed[-2] = False
-    nearby, best, least = x, x, math.inf
-    for window in SEARCHED_WINDOWS:
-        start = nearby.copy()
-        start[-2] = window
-        nearby = solve_problem(problem, start, deadbands, fixed, evaluations=8).x
-        cost = float(np.abs(problem.residuals(nearby, deadbands)).sum())
-        if cost < least:
-            least, best = cost, nearby
-    return solve_problem(problem, best, deadbands, free)
+def _loss_scale(residuals: Floats) -> float:
+    """Residual at which the loss becomes linear [rad/s]."""
+    return max(LEAST_LOSS_SCALE, 1.5 * float(np.median(np.abs(residuals))))
 
 
-def find_rounding(
-    problem: FitProblem, config: RobotConfig, solution: FitSolution, quantum: Estimate | None
-) -> tuple[SpeedRounding, float | None]:
-    """How a board rounds its speeds: by its encoder's counts, a step of its own, or both."""
-    step = quantum.value if quantum else 0.0
-    speeds = np.concatenate([track.speeds for track in problem.tracks])
-    fitted, near = float(solution.x[-2]), math.inf
-    if solution.free[-2]:
-        near = COUNTED_SIGMAS * math.sqrt(estimate_covariance(problem, solution)[-2, -2])
-        near += problem.dt
-    explained = []
-    for n in range(1, LONGEST_COUNT_WINDOW + 1):
-        coarse = board_log.count_speed(config, n * problem.dt)
-        own = 0.0 if abs(coarse - step) < board_log.SAME_QUANTUM * step else step
-        if abs(n * problem.dt - fitted) <= near and board_log.is_explained_by_counts(
-            speeds, config, n * problem.dt, own
-        ):
-            explained.append((n, coarse, own))
-    counts, window = board_log.count_speed(config, fitted), None
-    counts = counts if counts < step else 0.0
-    # Finer counts explain multiples of coarse ones, too; where others do, a coarse step hides them.
-    if explained and all(n % explained[0][0] == 0 for n, _, _ in explained):
-        n, counts, step = explained[0]
-        window = n * problem.dt
-    measured = np.concatenate([problem.measured(k) for k in range(len(problem.wheels))])
-    answer = problem.residuals(solution.x, solution.deadbands) + measured
-    fast, coarse = np.abs(answer) > CUT_SPEED, max(counts, step)
-    if coarse > board_log.FINEST_QUANTUM and fast.sum() > board_log.FEWEST_SPEEDS:
-        offset = -float(np.polyfit(np.abs(answer[fast]), np.abs(measured[fast]), 1)[1])
-        if CUT_OFFSETS[0] < offset / coarse < CUT_OFFSETS[1]:
-            return SpeedRounding(counts, step, coarse), window
-    return SpeedRounding(counts, step), window
-
-
-def fit_deadband(
-    problem: FitProblem,
-    index: int,
-    model: WheelModel,
-    times: BoardTimes,
-    rounding: SpeedRounding,
-    usual: float | None,
-) -> Estimate:
-    """Find the deadband of one wheel: the answer jumps where a set point crosses one."""
-    bands = np.arange(0.0, LARGEST_DEADBAND + DEADBAND_GRID, DEADBAND_GRID)
-    if usual is not None:
-        bands = np.append(bands, usual)
-    measured, costs = problem.measured(index), []
-    for band in bands.tolist():
-        rest = problem.residuals_of(index, model._replace(deadband=band), times)
-        expected = board_log.mean_printed_speeds(rest + measured, *rounding)
-        rest = np.abs(expected - measured)
-        costs.append(np.where(rest < 0.2, rest**2, 0.4 * rest - 0.04))  # linear for large ones
-    total = np.array(costs).sum(1)
-    excess = total - total.min()
-    typical = max(float(total.min()) / len(measured), 1e-6)
-    if usual is not None and excess[-1] < DEADBAND_EVIDENCE * typical:
-        return Estimate(usual, 0.0, math.inf)
-    weights = np.exp(-excess / (2.0 * CORRELATED_RESIDUALS * typical))
-    weights /= weights.sum()
-    value = float(weights @ bands)
-    half = DEADBAND_SIGMAS * math.sqrt(float(weights @ (bands - value) ** 2)) + DEADBAND_GRID
-    return Estimate(value, max(0.0, value - half), value + half)
-
-
-def estimate_covariance(problem: FitProblem, solution: FitSolution) -> Floats:
+def _estimate_spread(problem: FitProblem, residuals: Floats, jacobian: Floats) -> Floats:
     """Covariance of the parameters, with residuals that depend on each other in blocks.
 
     Residuals of quantized, averaged speeds are correlated, so it is that of blocks (the
-    "sandwich"). Fixed parameters have zeros.
+    "sandwich"). What no line shows has the prior's.
     """
-    rest = problem.residuals(solution.x, solution.deadbands)
-    jacobian = problem.jacobian(solution.x, solution.deadbands)[:, solution.free]
-    spread = np.zeros((len(solution.x), len(solution.x)))
-    spread[np.ix_(solution.free, solution.free)] = estimate_spread(
-        rest, jacobian, solution.scale, problem.blocks()
-    )
-    return spread
+    chosen = ~problem.held_out
+    errors = residuals[:, chosen].ravel()
+    columns = jacobian[:, chosen].reshape(len(errors), -1)
+    scale = _loss_scale(errors)
+    weights = 1.0 / np.sqrt(1.0 + (errors / scale) ** 2)  # of soft_l1
 
+    blocks = problem.blocks()
+    numbers = np.arange(len(problem.wheels))[:, None] * (blocks.max() + 1) + blocks[chosen]
+    scores = np.zeros((int(numbers.max()) + 1, columns.shape[1]))
+    np.add.at(scores, numbers.ravel(), columns * (weights * errors)[:, None])
+    meat = scores.T @ scores
 
-def estimate_spread(
-    rest: Floats, jacobian: Floats, scale: float, blocks: NDArray[np.intp]
-) -> Floats:
-    """Estimate the covariance of parameters from residuals, their derivatives and their blocks."""
-    weights = 1.0 / np.sqrt(1.0 + (rest / scale) ** 2)  # of soft_l1
-    scores = np.zeros((int(blocks.max()) + 1, jacobian.shape[1]))
-    np.add.at(scores, blocks, jacobian * (weights * rest)[:, None])
-    curvature = jacobian.T @ (jacobian * weights[:, None] ** 3)
-    bread = np.linalg.pinv(curvature, hermitian=True)
-    seen = len(np.unique(blocks))
-    small = seen / max(1.0, seen - jacobian.shape[1])
-    return np.asarray(bread @ (scores.T @ scores) @ bread * small)
-
-
-def estimate_slack(problem: FitProblem, solution: FitSolution) -> Floats:
-    """By how much fitted parameters move if lags that were held are any of those of robots.
-
-    Zeros where all lags were fitted.
-    """
-    lags = response.PARAMETERS_PER_WHEEL * np.arange(len(problem.wheels))
-    held = lags[~solution.free[lags]]
-    moved = np.zeros(len(solution.x))
-    if not len(held) or not solution.free.any():
-        return moved
-    for lag in (SEARCHED_LAGS[0], SEARCHED_LAGS[-1]):
-        start = solution.x.copy()
-        start[held] = lag
-        other = solve_problem(problem, start, solution.deadbands, solution.free)
-        moved = np.maximum(moved, np.abs(other.x - solution.x))
-    moved[held] = 0.0
-    return moved
+    # The prior counts as much as lines do whose noise is that of the residuals.
+    variance = float(np.mean((weights * errors) ** 2)) * CORRELATED_LINES
+    prior = np.diag(variance / problem.deviations**2)
+    curvature = columns.T @ (columns * weights[:, None] ** 3) + prior
+    bread = np.linalg.inv(curvature)
+    return np.asarray(bread @ (meat + variance * prior) @ bread)

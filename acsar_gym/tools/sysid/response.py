@@ -13,9 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop
 from acsar_gym.physics.model import move_towards, wheel_speed
 from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
@@ -23,24 +21,17 @@ from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
 LoopCommands = tuple[Floats, Floats, Floats]
 """For each loop: the command one loop earlier and that of the loop [rad/s], and the probability
 that the loop already has the latter."""
-PARAMETERS_PER_WHEEL = 3
-"""Lag, gain and slowness of the ramp; the deadband isn't smooth."""
-WHEEL_STEPS = np.array([5e-3, 1e-3, 5e-4])
-"""Steps of their derivatives: relative for the lag, then plain."""
-CLOCK_STEPS = np.array([1e-3, 2e-3, 2e-3])
-"""Steps of delay, window and time-out [s]."""
-ABOVE_TOP = 1.05
-"""Lines that are faster than this share of the configured top speed show that it isn't the top."""
 PHASE_SPREAD = 0.5
 """Spread of set points in a loop, for `simulate_speeds`."""
-KEPT_COMMANDS = 32
-"""Delays and time-outs for which each track's commands are kept."""
-RESIDUAL_BLOCK = 0.5
-"""Residuals within such a time and of one wheel may depend on each other [s]."""
+KEPT_COMMANDS = 64
+"""Delays and time-outs for which each track's commands are kept; any small number will do."""
+ROUNDING_BLUR = 0.2
+"""Finer steps of printed numbers average out: speeds differ by half of this if a drive is repeated
+[rad/s]."""
 
 
 class WheelModel(NamedTuple):
-    """The motor of one wheel, as a fit varies it."""
+    """The motor of one wheel."""
 
     lag: float
     """Time constant of the speed loop [s]."""
@@ -52,7 +43,7 @@ class WheelModel(NamedTuple):
     """Set points below this don't turn the wheel [rad/s]."""
 
 
-class BoardTimes(NamedTuple):
+class BoardModel(NamedTuple):
     """The times of a board, the same for all wheels."""
 
     delay: float
@@ -63,6 +54,25 @@ class BoardTimes(NamedTuple):
     """Time after the newest command at which the targets become zero [s]; inf: never."""
 
 
+class Rounding(NamedTuple):
+    """How a board prints speeds: to whole steps [rad/s], rounded, or cut towards zero as C does."""
+
+    step: float = 0.0
+    is_cut: bool = False
+
+    def apply(self, speeds: Floats) -> Floats:
+        """Return the mean of what is printed for these speeds, which are known to a blur only."""
+        sizes = np.abs(speeds)
+        if self.is_cut:
+            sizes = np.maximum(sizes - self.step / 2.0, 0.0)
+        if self.step > ROUNDING_BLUR:
+            places = sizes / self.step
+            cell = np.floor(places)
+            beyond_half = (places - cell - 0.5) * self.step / ROUNDING_BLUR
+            sizes = self.step * (cell + np.clip(beyond_half + 0.5, 0.0, 1.0))
+        return np.asarray(np.copysign(sizes, speeds))
+
+
 @jit
 def pass_deadband(aim: float, spread: float, deadband: float) -> float:
     """Mean of what a deadband passes, over aims from aim - spread to aim + spread [rad/s]."""
@@ -70,7 +80,8 @@ def pass_deadband(aim: float, spread: float, deadband: float) -> float:
         return aim
     if abs(aim) + spread < deadband or spread <= 0.0:
         return 0.0
-    low, high = max(abs(aim - spread), deadband), max(abs(aim + spread), deadband)
+    low = max(abs(aim - spread), deadband)
+    high = max(abs(aim + spread), deadband)
     return (high * high - low * low) / (4.0 * spread)
 
 
@@ -129,7 +140,7 @@ def sample_commands(edges: Floats, stamps: Floats, commands: Floats) -> LoopComm
     Args:
         edges: begin of each loop [s], equally spaced.
         stamps: when each command counts [s], ascending.
-        commands: (n,) or (n, wheels) [rad/s]; zero before the first.
+        commands: (n, wheels) [rad/s]; zero before the first.
 
     Returns:
         What `simulate_speeds` takes, with the wheels' columns as rows.
@@ -146,138 +157,57 @@ def sample_commands(edges: Floats, stamps: Floats, commands: Floats) -> LoopComm
 
 
 @dataclass(frozen=True, eq=False)
-class FitProblem:
-    """Tracks of one robot, the wheels that they tell something about, and the model's residuals.
+class Responder:
+    """Computes what the wheels of a model answer to the commands of tracks.
 
-    Parameters are one vector: lag, gain and slowness of each wheel, then the clock's: delay to the
-    middle of the window, window, time-out. A delay by itself would hang on the window.
+    Attributes:
+        dt: Period of the firmware's loop [s].
+        top: Largest speed of a wheel [rad/s].
+        rounding: How speeds are printed.
     """
 
-    tracks: Sequence[BoardTrack]
-    wheels: tuple[int, ...]
     dt: float
-    """Period of the firmware's loop [s]."""
     top: float
-    """Largest speed of a wheel [rad/s]."""
-    held_out: bool = False
-    """Whether residuals are those of the held-out lines, instead of the others."""
+    rounding: Rounding
     kept: dict[tuple[int, float, float], tuple[Floats, LoopCommands]] = field(default_factory=dict)
-    """Commands in the loops, for the newest delays and time-outs."""
+    """Commands in the loops, for the newest tracks, delays and time-outs."""
 
-    @classmethod
-    def of(
-        cls, tracks: Sequence[BoardTrack], wheels: Sequence[int], config: RobotConfig
-    ) -> FitProblem:
-        """Make the problem of a robot with this loop rate and top speed.
+    def answer(self, track: BoardTrack, wheel: int, model: WheelModel, times: BoardModel) -> Floats:
+        """Return the speeds of one wheel that are printed at a track's stamps [rad/s]."""
+        edges, (before, after, share) = self._commands(track, times)
+        speeds = simulate_speeds(
+            (before[wheel], after[wheel], share),
+            step=ramp_step(model.slowness, self.dt),
+            blend=lag_blend(model.lag, self.dt),
+            gain=model.gain,
+            deadband=model.deadband,
+            top=self.top,
+            spread=PHASE_SPREAD,
+        )
 
-        Feedback in another unit exceeds the top speed, and then nothing is known of that.
-        """
-        fastest = max(float(np.abs(track.speeds).max()) for track in tracks)
-        top = config.motor.max_speed
-        if fastest > ABOVE_TOP * top:
-            top = 1.1 * fastest
-        return cls(tracks, tuple(wheels), 1.0 / config.firmware.loop_rate, top)
+        # The encoder's mean speed over its window is the angle that the wheel turned in it.
+        ends = np.append(edges, edges[-1] + self.dt)
+        angles = np.append(0.0, np.cumsum(speeds) * self.dt)
+        turned = np.interp(track.stamps, ends, angles)
+        turned -= np.interp(track.stamps - times.window, ends, angles)
+        return self.rounding.apply(turned / times.window)
 
-    @property
-    def size(self) -> int:
-        """Number of parameters."""
-        return PARAMETERS_PER_WHEEL * len(self.wheels) + len(CLOCK_STEPS)
+    def residuals(
+        self, tracks: Sequence[BoardTrack], wheel: int, model: WheelModel, times: BoardModel
+    ) -> Floats:
+        """Return by how much one wheel's answer is off on all lines of all tracks [rad/s]."""
+        return np.concatenate(
+            [self.answer(track, wheel, model, times) - track.speeds[:, wheel] for track in tracks]
+        )
 
-    @property
-    def count(self) -> int:
-        """Residuals of one wheel."""
-        return sum(int(self.chosen(track).sum()) for track in self.tracks)
-
-    def split(self, x: Floats, deadbands: Sequence[float]) -> tuple[list[WheelModel], BoardTimes]:
-        """Name the numbers of a parameter vector."""
-        n = PARAMETERS_PER_WHEEL * len(self.wheels)
-        rows = x[:n].reshape(-1, PARAMETERS_PER_WHEEL).tolist()
-        wheels = [
-            WheelModel(lag, gain, slowness, band)
-            for (lag, gain, slowness), band in zip(rows, deadbands, strict=True)
-        ]
-        middle, window, timeout = x[n:].tolist()
-        return wheels, BoardTimes(middle - window / 2.0, window, timeout)
-
-    def join(self, wheels: Sequence[WheelModel], times: BoardTimes) -> Floats:
-        """Make a parameter vector."""
-        rows = [wheel[:PARAMETERS_PER_WHEEL] for wheel in wheels]
-        return np.concatenate((*rows, (times.delay + times.window / 2.0, *times[1:])))
-
-    def chosen(self, track: BoardTrack) -> NDArray[np.bool_]:
-        """Which lines of a track count."""
-        return track.held_out if self.held_out else ~track.held_out
-
-    def answer(self, track: BoardTrack, wheel: int, model: WheelModel, times: BoardTimes) -> Floats:
-        """Speeds of one wheel at a track's stamps, as encoders without counts report them."""
+    def _commands(self, track: BoardTrack, times: BoardModel) -> tuple[Floats, LoopCommands]:
+        """Return the edges of a track's loops, and the commands in them."""
         key = (id(track), times.delay, times.timeout)
         if key not in self.kept:
-            while len(self.kept) >= KEPT_COMMANDS * len(self.tracks):
+            if len(self.kept) >= KEPT_COMMANDS:
                 del self.kept[next(iter(self.kept))]
             edges = track.loop_edges(self.dt)
             stamps, commands = track.apply_timeout(times.timeout)
             commands = np.clip(commands, -self.top, self.top)
             self.kept[key] = edges, sample_commands(edges, stamps + times.delay, commands)
-        edges, (before, after, share) = self.kept[key]
-        heard = before[wheel], after[wheel], share
-        step, blend = ramp_step(model.slowness, self.dt), lag_blend(model.lag, self.dt)
-        speeds = simulate_speeds(
-            heard, step, blend, model.gain, model.deadband, self.top, PHASE_SPREAD
-        )
-        dt = edges[1] - edges[0]
-        ends = np.concatenate((edges, [edges[-1] + dt]))
-        angles = np.concatenate(([0.0], np.cumsum(speeds) * dt))
-        turned = np.interp(track.stamps, ends, angles)
-        return (turned - np.interp(track.stamps - times.window, ends, angles)) / times.window
-
-    def measured(self, index: int) -> Floats:
-        """Printed speeds of one wheel that count, over all tracks [rad/s]."""
-        wheel = self.wheels[index]
-        return np.concatenate([t.speeds[self.chosen(t), wheel] for t in self.tracks])
-
-    def residuals_of(self, index: int, model: WheelModel, times: BoardTimes) -> Floats:
-        """Residuals of one wheel over all tracks, in the order of `measured` [rad/s]."""
-        wheel = self.wheels[index]
-        parts = [
-            (self.answer(track, wheel, model, times) - track.speeds[:, wheel])[self.chosen(track)]
-            for track in self.tracks
-        ]
-        return np.concatenate(parts)
-
-    def residuals(self, x: Floats, deadbands: Sequence[float]) -> Floats:
-        """Residuals of all wheels, one after the other [rad/s]."""
-        wheels, times = self.split(x, deadbands)
-        return np.concatenate([self.residuals_of(k, one, times) for k, one in enumerate(wheels)])
-
-    def jacobian(self, x: Floats, deadbands: Sequence[float]) -> Floats:
-        """Derivatives of the residuals; a wheel's own parameters concern its residuals only."""
-        wheels, times = self.split(x, deadbands)
-        columns = np.zeros((len(self.wheels), self.size, self.count))
-        for k, model in enumerate(wheels):
-            base = self.residuals_of(k, model, times)
-            for p, step in enumerate(WHEEL_STEPS * [model.lag, 1.0, 1.0]):
-                moved = model._replace(**{WheelModel._fields[p]: model[p] + step})
-                row = PARAMETERS_PER_WHEEL * k + p
-                columns[k, row] = (self.residuals_of(k, moved, times) - base) / step
-            for p, step in enumerate(CLOCK_STEPS):
-                other = times._replace(**{BoardTimes._fields[p]: times[p] + step})
-                if p == 1:  # the window grows around its middle
-                    other = other._replace(delay=times.delay - step / 2.0)
-                row = PARAMETERS_PER_WHEEL * len(wheels) + p
-                columns[k, row] = (self.residuals_of(k, model, other) - base) / step
-        return columns.transpose(0, 2, 1).reshape(-1, self.size)
-
-    def blocks(self) -> NDArray[np.intp]:
-        """Number of the block that each residual belongs to, wheel by wheel."""
-        begin, numbers = 0, []
-        for _ in self.wheels:
-            for track in self.tracks:
-                block = ((track.stamps - track.stamps[0]) / RESIDUAL_BLOCK).astype(np.intp)
-                numbers.append(begin + block[self.chosen(track)])
-                begin += int(block[-1]) + 1
-        return np.concatenate(numbers)
-
-    @property
-    def blocks_of_wheel(self) -> int:
-        """Number of blocks of one wheel."""
-        return sum(1 + int((t.stamps[-1] - t.stamps[0]) / RESIDUAL_BLOCK) for t in self.tracks)
+        return self.kept[key]

@@ -87,7 +87,6 @@ ERRORS = [
     ("gap --robot acsar", 2, "--record"),
     ("gap notes.txt --robot acsar", 2, "notes.txt:"),
     ("gap tape.mcap --robot acsar --body balloon", 2, "'balloon'"),
-    ("gap tape.mcap --robot acsar --fail-over end=1", 2, "'end'"),
 ]
 
 

@@ -27,7 +27,6 @@ WRITES = [
     "evaluate --link planar --json mine.json",
     "evaluate --link planar --html mine.html",
     "gap tape.mcap --robot acsar --json mine.json",
-    "gap tape.mcap --robot acsar --html mine.html",
     "identify planar --json mine.json",
     "policy point_goal --json mine.json",
     "policy model.zip --out mine.onnx --trust --env point_goal",
@@ -75,7 +74,6 @@ def test_a_file_of_somebody_else_is_refused_before_the_work(
         "worlds show open:1 --out out.png",
         "worlds convert clutter:7-7 out.yaml",
         "worlds convert clutter:7-7 out.json",
-        "gap tape.mcap --robot acsar --html out.html",
     ],
 )
 def test_what_a_command_wrote_itself_is_replaced(line: str, call: Call, place: Path) -> None:

@@ -37,7 +37,7 @@ def test_a_short_log_has_reasons_and_no_file(short: Path, call: Call, tmp_path: 
     code, said, error = call("identify", str(short), "--out", str(out), "--json", str(figures))
     assert code == 1
     assert_one_line(error, "nothing to write: nothing new was found")
-    assert "can't tell: 2.0 s of log" in " ".join(said.split())
+    assert "2.0 s of log: needs 5 s or more" in " ".join(said.split())
     told = {one["name"] for one in json.loads(figures.read_text())["findings"] if one["told"]}
     assert told == {"firmware.feedback_rate"}
     assert not out.exists()
@@ -92,20 +92,19 @@ def test_a_board_outside_the_model_is_refused_unless_asked(call: Call, tmp_path:
     asked = ("identify", "planar", "--twin", twin, "--duration", "12")
     code, said, error = call(*asked, "--out", out, "--json", figures)
     assert code == 1
-    assert_one_line(error, "doesn't fit: feedback is 1.50 times too large")
-    assert "doesn't fit: feedback is 1.50 times" in " ".join(said.split())
-    assert json.loads(figures.read_text())["model"]["pattern"].startswith("feedback is 1.50")
+    misfit = "doesn't fit: every wheel reports 1.50 times the expected speed"
+    assert_one_line(error, misfit)
+    assert misfit in " ".join(said.split())
+    assert json.loads(figures.read_text())["model"].startswith(misfit)
     assert not out.exists()
     assert call(*asked, "--out", out, "--anyway")[0] == 0
     written = RobotConfig.load(out)
-    assert written.motor_fit.startswith("doesn't fit: feedback is 1.50")
+    assert written.motor_fit.startswith(misfit)
     assert not written.measured
     again = "mine.yaml: this robot's simulation doesn't fit: "
-    page, figures = tmp_path / "gap.html", tmp_path / "gap.json"
     gap = ("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out, "--json", figures)
-    assert again + "feedback is 1.50 times" in call(*gap, "--html", page)[1]
+    assert again in call(*gap, "--force")[1]
     assert any(note.startswith(again) for note in json.loads(figures.read_text())["notes"])
-    assert "simulation doesn" in page.read_text(encoding="utf-8")
     RobotConfig.preset("acsar").with_(motor_fit="doesn't fit: holds at reversals").save(out)
     drive = ("run", "0.6", "0.2", "--link", "planar", "--robot", out)
     assert again + "holds at reversals" in call(*drive)[1]
@@ -236,18 +235,13 @@ def inside(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_right_robot_has_nearly_no_gap(inside: Path, call: Call) -> None:
     logs = ("log0.mcap", "log1.mcap", "--robot", "robot.yaml")
-    code, out, error = call("gap", *logs, "--json", "gap.json", "--html", "gap.html")
+    code, out, error = call("gap", *logs, "--json", "gap.json")
     assert (code, error) == (0, "")
     assert "2 held-out episodes, 8 s: wheel speeds from" in out
     told = json.loads((inside / "gap.json").read_text())
     before, after = (told[side]["figures"] for side in ("before", "after"))
     assert after["wheel_speed_rms"] < 0.1 * before["wheel_speed_rms"]
     assert after["end_pose"] < 0.1 * before["end_pose"]
-    assert "<title>Gap of robot.yaml</title>" in (inside / "gap.html").read_text()
-    assert call("gap", *logs, "--fail-over", "wheel_speed_rms=0.1", "end_pose=0.001")[0] == 0
-    code, _, error = call("gap", *logs[:2], "--robot", "acsar", "--fail-over", "end_pose=0.001")
-    assert code == 1
-    assert_one_line(error, "end_pose = ")
 
 
 def test_a_cut_recording_is_used_as_far_as_it_goes(inside: Path, call: Call) -> None:

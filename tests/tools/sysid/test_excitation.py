@@ -12,7 +12,7 @@ from acsar_gym.links.base import LinkWrapper
 from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
-from acsar_gym.tools.sysid.board_log import decode_track
+from acsar_gym.tools.sysid.board_log import decode_tracks
 from acsar_gym.tools.sysid.excitation import (
     TICK_STRETCH,
     StretchedLink,
@@ -52,8 +52,7 @@ def test_a_serial_wire_is_logged_finer_than_ticks(shared_device: str, config: Ro
             robot.tick((3.0, -3.0, 3.0, -3.0))
         for _ in range(30):
             robot.listen()
-    found = decode_track(tape.log, config)
-    assert found is not None
+    (found,) = decode_tracks([tape.log], config)
     last = np.flatnonzero(found.commands.any(axis=1))[-1]
     assert last in found.pauses
     assert found.commands[last].tolist() == [3.0, -3.0, 3.0, -3.0]

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig, open_link
-from acsar_gym.tools.sysid.board_log import decode_track
+from acsar_gym.tools.sysid.board_log import decode_tracks
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.response import (
-    BoardTimes,
-    FitProblem,
+    BoardModel,
+    Responder,
+    Rounding,
     WheelModel,
     lag_blend,
     ramp_step,
@@ -49,13 +50,18 @@ def test_speeds_are_those_of_the_twin() -> None:
 def test_the_answer_predicts_what_the_twin_prints() -> None:
     """Over the wire, at any phase: within the twin's loops, which the answer averages over."""
     log = drive_excitation(open_link("planar", FINE), BASE, 12.0)
-    one = decode_track(log, BASE)
-    assert one is not None
-    problem = FitProblem.of([one], range(4), BASE)
+    (track,) = decode_tracks([log], BASE)
+    responder = Responder(1.0 / BASE.firmware.loop_rate, BASE.motor.max_speed, Rounding())
     motor = WheelModel(0.1, 0.95, 1.0 / 40.0, 0.5)
     for wheel in range(4):
-        answer = problem.answer(one, wheel, motor, BoardTimes(0.01, 0.05, 0.5))
-        rest = answer - one.speeds[:, wheel]
+        rest = responder.residuals([track], wheel, motor, BoardModel(0.01, 0.05, 0.5))
         assert np.sqrt(np.mean(rest**2)) < 0.06
-        late = problem.answer(one, wheel, motor, BoardTimes(0.02, 0.05, 0.5)) - one.speeds[:, wheel]
+        late = responder.residuals([track], wheel, motor, BoardModel(0.02, 0.05, 0.5))
         assert np.mean(late**2) > 4.0 * np.mean(rest**2)
+
+
+def test_coarse_steps_are_rounded_or_cut() -> None:
+    speeds = np.array([0.2, 0.7, -1.2, -1.8])
+    assert Rounding(0.05).apply(speeds) == pytest.approx(speeds)
+    assert Rounding(1.0).apply(speeds) == pytest.approx([0.0, 1.0, -1.0, -2.0])
+    assert Rounding(1.0, is_cut=True).apply(speeds) == pytest.approx([0.0, 0.0, -1.0, -1.0])

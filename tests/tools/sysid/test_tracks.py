@@ -1,4 +1,4 @@
-"""Tracks: true poses from an emulator's log, and stalls of lines."""
+"""Tracks: true poses from an emulator's log."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from rollout_tools import driven, random_steps, recording
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.protocol import encode
-from acsar_gym.recording.types import Episode, Recording, WireLog
-from acsar_gym.tools.sysid.board_log import decode_track
+from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools.sysid.tracks import add_truth, make_recorded_track
 
 ACSAR = RobotConfig.preset("acsar")
@@ -54,13 +52,3 @@ def test_a_log_of_another_time_or_kind_is_refused(known: Episode, tmp_path: Path
         other.write_text(text, encoding="ascii")
         with pytest.raises(ConfigError, match=r"isn't a log of|holds no true poses"):
             add_truth(blind(known), other)
-
-
-def test_stalls_are_where_lines_came_again_after_a_gap() -> None:
-    stamps = 0.02 * np.arange(100.0)
-    lines = tuple(encode((1.0, 1.0, 1.0, 1.0)) for _ in stamps)
-    got = (stamps < 0.6) | (stamps > 0.9)
-    heard = tuple(line for line, came in zip(lines, got, strict=True) if came)
-    track = decode_track(WireLog(stamps, lines, stamps[got], heard), ACSAR)
-    assert track is not None
-    assert track.stalls == pytest.approx([0.92])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -17,13 +16,7 @@ from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Recording
 from acsar_gym.tools.sysid.board_log import Floats
-from acsar_gym.tools.sysid.twin_gap import (
-    TwinGap,
-    conclude_gap,
-    find_exceeded,
-    measure_gap,
-    parse_limits,
-)
+from acsar_gym.tools.sysid.twin_gap import TwinGap, conclude_gap, measure_gap
 
 ACSAR = RobotConfig.preset("acsar")
 ROBOT = ACSAR.with_(**HIDDEN)
@@ -58,7 +51,6 @@ def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
     assert after["end_pose"] < 1e-4
     assert before["time_shift"] == pytest.approx(0.14 - 0.08, abs=0.03)
     assert abs(after["time_shift"]) < 1e-3
-    assert fitted().delays("after").p_value == 1.0
 
 
 @pytest.mark.parametrize(
@@ -105,17 +97,14 @@ def test_truth_is_left_out_where_it_isnt_known() -> None:
     assert gap.figures("after")["end_pose"] < 1e-4  # the right twin, by odometry as the robot
     assert gap.figures("after")["end_pose"] == gap.figures("after")["end_odometry"]
     assert gap.figures("after")["yaw_rms"] < 1e-3
-    assert "by odometry of both, computed anew" in gap.notes[0]
+    assert "are by odometry of both" in gap.notes[0]
 
 
 def test_ten_milliseconds_of_delay_are_found() -> None:
     logs = [(f"{seed}", log(seed, 20.0, extra=0.010)) for seed in (3, 4)]
     gap = measure_gap(logs, ("robot.yaml", ROBOT), BEFORE)
-    test = gap.delays("after")
-    assert test.differs
-    assert test.difference == pytest.approx(0.020, abs=0.005)  # the answer is late, too
-    assert gap.figures("after")["time_shift"] == pytest.approx(0.020, abs=0.002)
-    assert "delays differ: the robot answers" in conclude_gap(gap)[1]
+    shift = gap.figures("after")["time_shift"]
+    assert shift == pytest.approx(0.020, abs=0.002)  # the answer is late, too
 
 
 @pytest.mark.parametrize("fits", [True, False])
@@ -134,13 +123,12 @@ def test_fitted_logs_dont_count(*, fits: bool) -> None:
     gap = measure_gap(logs[:1], robot, BEFORE)
     assert len(gap.judged) == 1
     assert "none is held out" in gap.notes[-1]
-    assert "fitted episode" in conclude_gap(gap)[0]
+    assert "fitted episode" in conclude_gap(gap)
 
 
 def test_a_short_log_is_refused() -> None:
     with pytest.raises(ConfigError, match="a #0: left out, holds less than 1 s"):
         measure_one(log(0, 0.5))
-    assert math.isnan(measure_one(log(0, 1.5)).delays("after").p_value)  # too few steps
     with pytest.raises(ConfigError, match="a: holds no episode"):
         measure_one(recording(ACSAR))
 
@@ -159,16 +147,3 @@ def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: 
     gap = measure_one(odd)
     assert gap.notes[0].startswith(f"a #0: left out, {said}")
     assert [replay.episode for replay in gap.replays] == [1]
-
-
-def test_limits_are_names_and_numbers() -> None:
-    limits = {"wheel_speed_rms": 0.5, "end_pose": 0.01}
-    assert parse_limits(["wheel_speed_rms=0.5", "end_pose=1e-2"]) == limits
-    for value in ("", "=", "=-1", "=nan", "=inf"):
-        with pytest.raises(ConfigError, match="end_pose"):
-            parse_limits([f"end_pose{value}"])
-
-
-@pytest.mark.parametrize(("value", "count"), [(0.01, 0), (-0.011, 1), (math.nan, 1)])
-def test_a_limit_is_kept_up_to_its_value_and_must_be_measured(value: float, count: int) -> None:
-    assert len(find_exceeded({"end_pose": 0.01}, {"end_pose": value})) == count

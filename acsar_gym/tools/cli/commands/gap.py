@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,33 +24,19 @@ if TYPE_CHECKING:
     from acsar_gym.recording import Recording
 
 Logs = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="LOG [LOG ...]")]
-Limits = Annotated[tuple[str, ...], tyro.conf.arg(metavar="METRIC=VALUE [...]")]
 RobotFile = Annotated[str, tyro.conf.arg(metavar="PRESET|FILE")]
-
-
-@dataclass(frozen=True)
-class GapOutputs:
-    """What is written, and the limits that must be kept."""
-
-    fail_over: Limits = ()
-    """Limits in SI units, such as wheel_speed_rms=0.5 end_pose=0.05; exit code 1 where one isn't
-    kept."""
-    json: File = None
-    """Also write the figures to this file."""
-    html: File = None
-    """Also write a report with plots to this file."""
-    force: Force = False
 
 
 @command("gap", "recordings")
 def measure_gap(
     logs: Logs,
     robot: RobotFile,
-    outputs: GapOutputs,
     bag: BagOptions,
     before: RobotFile = "acsar",
     body: str = "planar",
     truth: File = None,
+    json: File = None,
+    force: Force = False,
 ) -> int:
     """Replay recorded commands through the twin, before and after fitting, and measure its gap.
 
@@ -61,21 +45,18 @@ def measure_gap(
     Args:
         logs: recordings of one robot, made with --record, or ROS 2 bags of it.
         robot: the fitted robot, such as the file that identify wrote.
-        outputs: files and limits.
         bag: of ROS 2.
         before: the unfitted robot; a preset gets the wiring, the baud rate and the comma of the
             first recording.
         body: physics of the twins, planar, bullet or mujoco.
         truth: log of the emulator that was recorded (emulate --log), with its true poses.
+        json: also write the figures to this file.
+        force: overwrite the file.
     """
-    from acsar_gym.tools import page  # noqa: PLC0415
     from acsar_gym.tools.sysid import tracks, twin_gap  # noqa: PLC0415
 
-    limits = twin_gap.parse_limits(outputs.fail_over)
-    check_writable(outputs.json, outputs.html, force=outputs.force)
-    if outputs.html is not None:
-        page.check_report_extra()
-    after = Path(robot).name, RobotConfig.of(robot)
+    check_writable(json, force=force)
+    fitted = (Path(robot).name, RobotConfig.of(robot))
     recordings = _read_logs([bag.open(log, robot) for log in logs])
     if truth is not None:
         recordings = [(name, tracks.add_truth(log, truth)) for name, log in recordings]
@@ -84,17 +65,11 @@ def measure_gap(
         recorded = recordings[0][1].config
         wire = "wheels", "baud_rate", "trailing_comma"
         unfitted = unfitted.with_(**{field: getattr(recorded, field) for field in wire})
-    gap = twin_gap.measure_gap(recordings, after, (Path(before).name, unfitted), body)
-    print_results(*twin_gap.gap_tables(gap), json=outputs.json, data=twin_gap.format_gap(gap))
-    for line in (*twin_gap.conclude_gap(gap), *gap.notes):
+    gap = twin_gap.measure_gap(recordings, fitted, (Path(before).name, unfitted), body)
+    print_results(*twin_gap.gap_tables(gap), json=json, data=twin_gap.format_gap(gap))
+    for line in (twin_gap.conclude_gap(gap), *gap.notes):
         say(line)
-    if outputs.html is not None:
-        twin_gap.write_gap_page(outputs.html, gap)
-    sizes = gap.figures("after") | {"delay": gap.delays("after").difference}
-    failures = twin_gap.find_exceeded(limits, sizes)
-    for line in failures:
-        print(f"acsar-gym: {line}", file=sys.stderr)
-    return 1 if failures else 0
+    return 0
 
 
 def _read_logs(paths: Sequence[Path]) -> list[tuple[str, Recording]]:
@@ -104,10 +79,10 @@ def _read_logs(paths: Sequence[Path]) -> list[tuple[str, Recording]]:
     if not paths:
         raise ConfigError("no recording is named: make one with --record FILE")
     logs = [(path.name, read(path)) for path in paths]
-    seen: dict[str, str] = {}
+    names: dict[str, str] = {}
     for name, log in logs:
         begun = str((log.header["created"], log.header.get("cut")))  # tells a cut copy, too
-        if begun in seen:
-            raise ConfigError(f"{name}: is the same recording as {seen[begun]}")
-        seen[begun] = name
+        if begun in names:
+            raise ConfigError(f"{name}: is the same recording as {names[begun]}")
+        names[begun] = name
     return logs
