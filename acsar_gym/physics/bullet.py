@@ -187,14 +187,20 @@ class BulletBody(Body):
         """Simulate one firmware loop: tyre force and torque, then one engine step."""
         robot = self._robot
         client = self._engine.number
-        motion = self._motion or self._read_motion()
-        motors = (self.wheel_speeds, self.wheel_angles, set_points)
+        position, orientation, velocity, spin = self._motion or self._read_motion()
         force, torque, self.wheel_speeds, self.wheel_angles = model.push_robot(
-            motion, motors, self._record, self._dt
+            orientation,
+            velocity,
+            spin,
+            self.wheel_speeds,
+            self.wheel_angles,
+            set_points,
+            self._record,
+            self._dt,
         )
 
         # Without keywords and `Engine`, which take longer: every firmware loop makes these calls.
-        pybullet.applyExternalForce(robot, -1, force, motion[0], pybullet.WORLD_FRAME, client)
+        pybullet.applyExternalForce(robot, -1, force, position, pybullet.WORLD_FRAME, client)
         pybullet.applyExternalTorque(robot, -1, torque, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
         self._motion = None

@@ -33,9 +33,6 @@ Quaternion = tuple[float, float, float, float]
 """Orientation (x, y, z, w)."""
 Motion = tuple[Velocity, Quaternion, Velocity, Velocity]
 """Position [m], orientation, velocity [m/s] and spin [rad/s], in the frame of the world."""
-Motors = tuple[Speeds, Speeds, Speeds]
-"""Speeds of the four wheels [rad/s], angles turned by them [rad], set points of the firmware
-[rad/s]."""
 
 
 def loop_period(config: RobotConfig) -> float:
@@ -262,14 +259,24 @@ def tyre_step(
 
 @loop
 def robot_step(
-    heading: tuple[float, float], velocity: Velocity, motors: Motors, physics: Any, dt: float
+    cos: float,
+    sin: float,
+    velocity: Velocity,
+    wheels: Speeds,
+    angles: Speeds,
+    set_points: Speeds,
+    physics: Any,
+    dt: float,
 ) -> tuple[Velocity, Speeds, Speeds]:
     """Advance motors, then tyres, by one substep.
 
     Args:
-        heading: Cosine and sine of the heading.
+        cos: Cosine of the heading.
+        sin: Sine of the heading.
         velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
-        motors: See `Motors`.
+        wheels: Speeds of the four wheels [rad/s].
+        angles: Angles turned by the four wheels [rad].
+        set_points: Set points of the firmware [rad/s].
         physics: Physics of the robot, a record of `Physics`.
         dt: Substep [s].
 
@@ -277,8 +284,6 @@ def robot_step(
         The new velocity, wheel speeds and wheel angles.
     """
     robot = physics[0]
-    cos, sin = heading
-    wheels, angles, set_points = motors
     a, b, c, d = turn_wheels(wheels, set_points, robot)
 
     vx, vy, rate = velocity
@@ -307,15 +312,31 @@ def heading_of(orientation: Quaternion) -> tuple[float, float]:
 
 @loop
 def push_robot(
-    motion: Motion, motors: Motors, physics: Any, dt: float
+    orientation: Quaternion,
+    velocity: Velocity,
+    spin: Velocity,
+    wheels: Speeds,
+    angles: Speeds,
+    set_points: Speeds,
+    physics: Any,
+    dt: float,
 ) -> tuple[Velocity, Velocity, Speeds, Speeds]:
     """`robot_step` for an engine that moves the chassis itself, by a force [N] and a torque [Nm].
 
-    Force and torque are in the world frame, as the motion is.
+    Orientation, velocity [m/s], spin [rad/s], force and torque are in the world frame.
     """
-    _, orientation, (vx, vy, _), (_, _, rate) = motion
+    cos, sin = heading_of(orientation)
+    vx, vy, _ = velocity
+    rate = spin[2]
     (new_vx, new_vy, new_rate), wheels, angles = robot_step(
-        heading_of(orientation), (vx, vy, rate), motors, physics=physics, dt=dt
+        cos,
+        sin,
+        (vx, vy, rate),
+        wheels=wheels,
+        angles=angles,
+        set_points=set_points,
+        physics=physics,
+        dt=dt,
     )
 
     push = physics[0].mass / dt

@@ -34,10 +34,15 @@ class PlanarBody(Body):
         """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""
         x, y, theta = self._pose
         dt = self._dt
-        heading = (math.cos(theta), math.sin(theta))
-        motors = (self.wheel_speeds, self.wheel_angles, set_points)
         self._velocity, self.wheel_speeds, self.wheel_angles = model.robot_step(
-            heading, self._velocity, motors, self._record, dt
+            math.cos(theta),
+            math.sin(theta),
+            self._velocity,
+            self.wheel_speeds,
+            self.wheel_angles,
+            set_points,
+            self._record,
+            dt,
         )
         vx, vy, rate = self._velocity
         self._pose = (x + vx * dt, y + vy * dt, theta + rate * dt)

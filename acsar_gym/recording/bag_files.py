@@ -138,39 +138,32 @@ def unpack(packed: IO[bytes], limit: int) -> Iterator[bytes]:
 
 def _read_mcap(path: Path, problems: list[str]) -> Iterator[BagMessage]:
     """Read an MCAP file up to where it is cut or damaged."""
-    schemas: dict[int, str] = {}
-    channels: dict[int, Any] = {}
-    for record in _read_records(path, problems):
-        kind = type(record).__name__
-        if kind == "Schema":
-            schemas[record.id] = record.name
-        elif kind == "Channel" and record.message_encoding == "cdr":
-            channels[record.id] = record
-        elif kind == "Message" and record.channel_id in channels:
-            channel = channels[record.channel_id]
-            name = schemas.get(channel.schema_id, "")
-            yield BagMessage(channel.topic, name, record.log_time, record.data)
-
-
-def _read_records(path: Path, problems: list[str]) -> Iterator[Any]:
-    """Yield the records of an MCAP file and of its chunks."""
     with require_extra("reading a ROS 2 bag", "record"):
         from mcap.exceptions import McapError  # noqa: PLC0415 - optional
+        from mcap.records import Channel, Message, Schema  # noqa: PLC0415 - optional
         from mcap.stream_reader import StreamReader  # noqa: PLC0415 - optional
 
     unpacked = 0
+    kinds: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     with open_file(path) as file:
         if file.read(len(MAGIC)) != MAGIC:
             raise ConfigError("isn't a ROS 2 bag: not an MCAP file")
         stream = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=MAX_BLOCK)
         place = file.tell()
         try:
-            for record in stream.records:
+            for chunk in stream.records:
                 place = file.tell()
-                unpacked += getattr(record, "uncompressed_size", 0)
+                unpacked += getattr(chunk, "uncompressed_size", 0)
                 if unpacked > FREE_UNPACKED + MAX_RATIO * place:
                     raise ConfigError("isn't read: it unpacks to more than a bag holds")
-                yield from _open_chunk(record, problems)
+                for record in _open_chunk(chunk, problems):
+                    if isinstance(record, Schema):
+                        kinds[record.id] = record.name
+                    elif isinstance(record, Channel) and record.message_encoding == "cdr":
+                        channels[record.id] = (record.topic, kinds.get(record.schema_id, ""))
+                    elif isinstance(record, Message) and record.channel_id in channels:
+                        yield BagMessage(*channels[record.channel_id], record.log_time, record.data)
         except (McapError, UnicodeDecodeError, struct.error):
             problem = "the file is cut: what followed is missing"
             if has_end(file):

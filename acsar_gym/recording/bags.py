@@ -376,10 +376,10 @@ class BagConverter:
         exchange = (self.periods, stamp, len(self._sent), 1, None, *UNKNOWN_TRUTH)
         self.events.append(
             {
-                "exchanges": [exchange],
+                "exchanges": exchange,
                 "sent": self._sent,
                 "received": [(stamp, line)],
-                "ticks": [tick],
+                "ticks": tick,
             }
         )
         self.periods += 1
@@ -413,9 +413,9 @@ class BagConverter:
         scan_row = (self.periods - 1, self._newest)
         self.events.append(
             {
-                "scans": [scan_row],
-                "ranges": [ranges],
-                "revolutions": [(*scan_row, len(revolution.times))],
-                "measurements": [revolution[:3]],
+                "scans": scan_row,
+                "ranges": ranges,
+                "revolutions": (*scan_row, len(revolution.times)),
+                "measurements": revolution[:3],
             }
         )

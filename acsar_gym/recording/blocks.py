@@ -25,7 +25,7 @@ from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.lidar.scan import MAX_STAMP
 from acsar_gym.reading import parse_json
-from acsar_gym.recording.events import TABLES, Table, Tables
+from acsar_gym.recording.events import TABLES, Table
 
 MAGIC = b"\x89MCAP0\r\n"  # the first and last bytes of an MCAP file
 NAME = "acsar_gym"
@@ -94,7 +94,7 @@ class Block(NamedTuple):
     """Its tables, packed."""
 
 
-def pack_block(head: Mapping[str, Any], tables: Tables) -> bytes:
+def pack_block(head: Mapping[str, Any], tables: Mapping[str, Table]) -> bytes:
     """Return the content of a block."""
     with require_extra("recording", "record"):
         import zstandard  # noqa: PLC0415 - optional

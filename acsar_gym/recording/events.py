@@ -2,13 +2,13 @@
 
 An event holds rows of one or several tables, by the table's name. All rows of a control period of
 the wire are one event, so that they are recorded together or dropped together. A table of pieces
-of bytes gets (stamp, bytes), of which two tables are made: when each piece passed and how long it
-is, and all bytes in a row.
+of bytes gets a list of (stamp, bytes), of which two tables are made: when each piece passed and how
+long it is, and all bytes in a row.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from acsar_gym.worlds.crowd import SEEN_NUMBERS
 
 Table = NDArray[Any]
-Rows = Mapping[str, Sequence[Any]]
-"""Rows by table, which take less than a microsecond to hand over."""
+Rows = Mapping[str, Any]
+"""A row of each of some tables, or a list of rows for `PIECE_TABLES`. It has few containers: the
+garbage collector walks what waits in a queue, also in the control loop."""
 
 
 NO_ACTION = np.full(2, np.nan, np.float32)
@@ -93,6 +94,7 @@ ground truth at their ends. `ticks` are the robot's ticks after its reset. Their
 `observations` and `actions` of each step (NaN for the reset), `ranges` of each scan, `mover_states`
 of each control period. `measurements` (n, 3) are bearings [rad], distances [m] and times [s] of all
 revolutions."""
+PIECE_TABLES = ("sent", "received", "faults")
 EMPTY_SHAPES = {
     "measurements": (0, 3),
     "mover_states": (0, 0, SEEN_NUMBERS),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,14 +80,14 @@ class RecordedLink(LinkWrapper):
         true_state = UNKNOWN_TRUTH if truth is None else (truth.pose, truth.twist, truth.contact)
         number = self._recorder.number
         counts = (len(self._writes), len(pieces))
-        rows: dict[str, Sequence[Any]] = {
-            "exchanges": [(number, now, *counts, link.lateness, *true_state)],
+        rows: dict[str, Any] = {
+            "exchanges": (number, now, *counts, link.lateness, *true_state),
             "sent": self._writes,
             "received": pieces,
         }
         if truth is not None and truth.crowd is not None:
-            rows["movers"] = [(number, now, truth.crowd.hit, truth.crowd.intrusions)]
-            rows["mover_states"] = [truth.crowd.copy_states()]
+            rows["movers"] = (number, now, truth.crowd.hit, truth.crowd.intrusions)
+            rows["mover_states"] = truth.crowd.copy_states()
 
         self._writes = []
         self._recorder.add_period(now, rows)

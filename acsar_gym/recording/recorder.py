@@ -162,7 +162,7 @@ class Recorder(DriveObserver):
             robot.wire.decoder.refused.total(),
         )
 
-        self.add({"ticks": [tick]})
+        self.add({"ticks": tick})
         self._add_scan(robot, pause=1.0 / robot.config.lidar.rate - 0.5 * robot.config.period)
 
     def _add_scan(self, robot: Robot, pause: float = 0.0) -> None:
@@ -174,15 +174,12 @@ class Recorder(DriveObserver):
 
         self._scan_stamp = stamp
         exchange = self.number - 1
-        rows: dict[str, Sequence[Any]] = {
-            "scans": [(exchange, stamp)],
-            "ranges": [lidar.scan.ranges],
-        }
+        rows: dict[str, Any] = {"scans": (exchange, stamp), "ranges": lidar.scan.ranges}
         revolution = lidar.revolution
         if revolution is not self._revolution:
             self._revolution = revolution
-            rows["revolutions"] = [(exchange, revolution.stamp, len(revolution.times))]
-            rows["measurements"] = [revolution[:3]]
+            rows["revolutions"] = (exchange, revolution.stamp, len(revolution.times))
+            rows["measurements"] = revolution[:3]
         self.add(rows)
 
     def after_step(
@@ -191,6 +188,7 @@ class Recorder(DriveObserver):
         """Record what a policy got, and what it did."""
         if action is None:
             action = NO_ACTION
+
         step = (
             result.step,
             robot.link.now(),
@@ -199,10 +197,10 @@ class Recorder(DriveObserver):
             result.truncated,
             result.is_success,
         )
-        rows: dict[str, Sequence[Any]] = {
-            "steps": [step],
-            "observations": [result.observation.copy()],
-            "actions": [np.clip(action, -LARGEST, LARGEST).astype(np.float32)],
+        rows: dict[str, Any] = {
+            "steps": step,
+            "observations": result.observation.copy(),
+            "actions": np.clip(action, -LARGEST, LARGEST).astype(np.float32),
         }
         self.add(rows)
 
@@ -263,8 +261,8 @@ class Recorder(DriveObserver):
                 self._wake.wait(BLOCK_PERIOD)
                 self._wake.clear()
                 is_last = self._is_ending
-                while events := self._take_events():
-                    self._write(tabulator.add(events))
+                for _ in range(0, len(self._queue), BLOCK_EVENTS):
+                    self._write(tabulator.add(self._take_events()))
                 for sink in self._open_sinks:
                     sink.flush()
             self._write(tabulator.add((), is_last=True))
@@ -319,7 +317,7 @@ class Recorder(DriveObserver):
         self.add(rows)
         if stamp >= self._clock_due:
             self._clock_due = stamp + 1.0
-            self.add({"clocks": [(stamp, time.time_ns())]})
+            self.add({"clocks": (stamp, time.time_ns())})
 
     def add(self, rows: Rows) -> None:
         """Record rows, if there is room for them. A simulation waits for the writer first."""

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
-from acsar_gym.recording.events import OCTETS, PIECES, TABLES, Began, Event, Rows, Tables
+from acsar_gym.recording.events import (
+    OCTETS,
+    PIECE_TABLES,
+    PIECES,
+    TABLES,
+    Began,
+    Event,
+    Rows,
+    Tables,
+)
 from acsar_gym.recording.messages import to_plain_json
 
 EPISODE_GAP = 1_000_000  # time between two episodes whose clocks both begin at zero [ns]
@@ -55,7 +65,7 @@ class Tabulator:
                 continue
             yield from self._make_block(len(self._waiting))
             self._begin_episode(event)
-            self._waiting = [{"clocks": [(event.stamp, event.wall)]}]
+            self._waiting = [{"clocks": (event.stamp, event.wall)}]
             yield from self._make_block(1)
 
         count = len(self._waiting)
@@ -78,7 +88,7 @@ class Tabulator:
 
     def _make_block(self, count: int) -> Iterator[tuple[dict[str, Any], Tables]]:
         """Yield the block of the oldest events, if there are any."""
-        tables = make_tables(self._waiting[:count])
+        tables = stack_rows(self._waiting[:count])
         self._waiting = self._waiting[count:]
         if not tables or not self._opening:
             return
@@ -94,17 +104,19 @@ class Tabulator:
         yield head, tables
 
 
-def make_tables(events: Iterable[Rows]) -> Tables:
+def stack_rows(events: Iterable[Rows]) -> Tables:
     """Make tables of the rows of events. A table without a row is left out."""
-    rows: dict[str, list[Any]] = {}
+    rows: defaultdict[str, list[Any]] = defaultdict(list)
     for event in events:
-        for name, added in event.items():
-            if added:
-                rows.setdefault(name, []).extend(added)
+        for name, row in event.items():
+            if name in PIECE_TABLES:
+                rows[name] += row
+            else:
+                rows[name].append(row)
 
     tables = Tables()
-    for name in (name for name in TABLES if name in rows):
-        if TABLES[name] == PIECES:
+    for name in (name for name in TABLES if rows[name]):
+        if name in PIECE_TABLES:
             tables[name] = np.array([(stamp, len(data)) for stamp, data in rows[name]], PIECES)
             data = b"".join([data for _, data in rows[name]])
             tables[f"{name}_bytes"] = np.frombuffer(data, OCTETS)

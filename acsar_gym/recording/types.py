@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +14,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.sections import WheelLetters
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.base import Arrivals
-from acsar_gym.protocol import ZERO, Decoder, Reading, Speeds
+from acsar_gym.protocol import ZERO, Decoder, Reading
 from acsar_gym.recording.events import TABLES, Tables
 
 Floats = NDArray[np.float64]
@@ -79,15 +80,15 @@ def _decode_lines(
     """Decode pieces of a byte stream. Each line gets the stamp of the piece that ends it."""
     decoder = Decoder()
     speeds = ZERO
-    when: list[float] = []
-    rows: list[Speeds] = []
+    times = array("d")
+    values = array("d")
     for stamp, piece in zip(stamps.tolist(), pieces, strict=True):
         for line in decoder.feed(piece):
             reading = Reading(letters.to_wheels(line.speeds)) if letters else line
             speeds = reading.over(speeds)
-            when.append(stamp)
-            rows.append(speeds)
-    return np.array(when, np.float64), np.array(rows, np.float64).reshape(-1, 4)
+            times.append(stamp)
+            values.extend(speeds)
+    return np.array(times), np.array(values).reshape(-1, 4)
 
 
 @dataclass(frozen=True, eq=False)

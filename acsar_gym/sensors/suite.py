@@ -66,11 +66,13 @@ class Sensors(Sequence[Sensor]):
         for sensor in self._sensors:
             sensor.connect(odometry, {name: by_name[name] for name in sensor.needs})
         self._polled = [sensor for sensor in self._sensors if is_polled(sensor)]
+        self._size = sum(sensor.size for sensor in self._sensors)
 
         # Of the episode.
         self._scene = Scene()
         self._rng = np.random.default_rng(0)
         self._memories = [new_memory(sensor, 1) for sensor in self._sensors]
+        self._newest: SensorInput
 
     def __getitem__(self, index: Any) -> Any:
         return self._sensors[index]
@@ -86,13 +88,10 @@ class Sensors(Sequence[Sensor]):
         """Whether any of them has a clock of its own, and must be polled after every tick."""
         return bool(self._polled)
 
-    def _inputs(self) -> Iterator[tuple[Sensor, SensorInput]]:
-        """Each sensor, and what it may know of the robot now. Errors name the sensor."""
-        if not self._sensors:
-            return
-
+    def _look(self) -> SensorInput:
+        """What sensors may know of the robot now."""
         truth = self._link.truth or UNKNOWN
-        robot = SensorInput(
+        return SensorInput(
             pose=np.array([truth.pose]),
             twist=np.array([truth.twist]),
             contact=np.array([truth.contact]),
@@ -101,9 +100,14 @@ class Sensors(Sequence[Sensor]):
             rngs=[self._rng],
             memory=None,
         )
+
+    def _inputs(self) -> Iterator[tuple[Sensor, SensorInput]]:
+        """Each sensor, and what it may know, with its memory."""
         for sensor, memory in zip(self._sensors, self._memories, strict=True):
-            with naming_sensor(sensor):
-                yield sensor, robot._replace(memory=name_memory(sensor, memory))
+            robot = self._newest
+            if sensor.memory:
+                robot = robot._replace(memory=name_memory(sensor, memory))
+            yield sensor, robot
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Start an episode: reset each sensor. Those with a clock of their own measure.
@@ -115,10 +119,12 @@ class Sensors(Sequence[Sensor]):
         self._scene = scene
         self._rng = rng
         self._memories = [new_memory(sensor, 1) for sensor in self._sensors]
+        self._newest = self._look()
         for sensor, robot in self._inputs():
-            sensor.reset(robot)
-            if sensor in self._polled:
-                sensor.poll(self._link.truth, self._link.now())
+            with naming_sensor(sensor):
+                sensor.reset(robot)
+                if sensor in self._polled:
+                    sensor.poll(self._link.truth, self._link.now())
 
     def poll(self) -> None:
         """Poll sensors with a clock of their own, after a tick."""
@@ -137,16 +143,27 @@ class Sensors(Sequence[Sensor]):
         Raises:
             AcsarError: A sensor raises an error, or doesn't give finite numbers.
         """
-        parts = [np.zeros(0)]
+        if not self._sensors:
+            return np.zeros(0)
+
+        numbers: Floats = np.full(self._size, np.nan)
+        end = 0
+        self._newest = self._look()
         for sensor, robot in self._inputs():
-            out = np.full((1, sensor.size), np.nan)
-            sensor.read(robot, out)
-            check_finite(sensor, out)
-            parts.append(out[0])
-        return np.concatenate(parts)
+            start = end
+            end += sensor.size
+            with naming_sensor(sensor):
+                sensor.read(robot, numbers[start:end].reshape(1, -1))
+
+        # One test of all numbers is faster than one of each sensor's.
+        if not np.isfinite(numbers).all():
+            ends = np.cumsum([sensor.size for sensor in self._sensors])
+            for sensor, columns in zip(self._sensors, np.split(numbers, ends[:-1]), strict=True):
+                check_finite(sensor, columns.reshape(1, -1))
+        return numbers
 
     def info(self, info: dict[str, float]) -> None:
-        """Add what the sensors report to an env's info.
+        """Add what the sensors report to an env's info, as of the newest `read`.
 
         Args:
             info: Gets their keys and values.
@@ -155,9 +172,10 @@ class Sensors(Sequence[Sensor]):
             ConfigError: It has one of the keys already.
         """
         for sensor, robot in self._inputs():
-            for key, values in sensor.info(robot).items():
-                check_info_key(info, sensor, key)
-                info[key] = float(values[0])
+            with naming_sensor(sensor):
+                for key, values in sensor.info(robot).items():
+                    check_info_key(info, sensor, key)
+                    info[key] = float(values[0])
 
     def close(self) -> None:
         """Close all of them, even if one raises. Idempotent."""

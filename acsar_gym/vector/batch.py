@@ -210,7 +210,8 @@ class Batch:
 
     def _drive(self, first: int, last: int) -> None:
         """Run the physics of blocks first to last, and what follows it."""
-        drive.step(self.tables, self._scans, self._crowds, first, last, setups=self._setups)
+        obstacles = (self._scans, self._crowds)
+        drive.step(self.tables, *obstacles, first, last, self._setups)
         self._finish_step(first, last)
 
     def _finish_step(self, first: int, last: int) -> None:
@@ -246,9 +247,10 @@ class Batch:
 
     def info(self) -> dict[str, NDArray[np.float64]]:
         """Info with the keys of the single env, each an array with a row for each robot."""
-        info = dict(zip(self._info_keys, self.read(*self._info_keys), strict=True))
+        *rows, first_worlds = self.read(*self._info_keys, "first_world")
+        info = dict(zip(self._info_keys, rows, strict=True))
         if self._world_numbers is not None:
-            info["world"] += self._world_numbers[0] - self.read("first_world")[0]
+            info["world"] += self._world_numbers[0] - first_worlds
         info |= self._task_loop.info()
         for name, places in self._drawn.items():  # (robots,), or (robots, 4) in wheel order
             numbers = self._draws.drawn[:, places]

@@ -26,7 +26,7 @@ from acsar_gym.sensors.suite import (
 )
 from acsar_gym.tasks.task import is_compiled
 from acsar_gym.vector.kernel import layout
-from acsar_gym.vector.kernel.binding import bind_methods, naming_errors, numbers_of
+from acsar_gym.vector.kernel.binding import bind_methods, name_error, numbers_of
 from acsar_gym.vector.pcg import LentGenerators, uniform
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.world import point_in_world
@@ -207,11 +207,14 @@ class SensorReader:
         rows = self._memory[:, places]
         robots = robots._replace(memory=name_memory(self._sensor, rows))
         method = self._methods[name]
+
         if self._is_compiled:
             robots.rngs.give_back()
             random = self._random[places]
-            with naming_errors(f"sensor {self._sensor.name!r}"):
+            try:
                 method(robots._replace(scenes=None, rngs=random), *out)
+            except Exception as error:
+                raise name_error(f"sensor {self._sensor.name!r}", error) from error
             self._random[places] = random
         else:
             with naming_sensor(self._sensor):

@@ -11,7 +11,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.jit import record_of
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.task import Task, info_names, is_compiled
-from acsar_gym.vector.kernel.binding import naming_errors, numbers_of
+from acsar_gym.vector.kernel.binding import name_error, numbers_of
 from acsar_gym.vector.kernel.layout import Setup, Spawns, Tables
 from acsar_gym.vector.kernel.task import bind_task
 
@@ -32,8 +32,6 @@ class TaskLoop:
                 f"{type(task).__name__}, or make_vec with vectorization_mode='async'"
             )
         self._task = task
-        self._numbers = numbers_of(task)
-        self._tables = tables
         self._setups = record_of(setup)
         self._spawns = spawns
         self._loop = bind_task(task)
@@ -43,19 +41,14 @@ class TaskLoop:
         self._memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
         for name, value in task.memory.items():
             self._memory[name][-1] = value
+        self._arguments = (numbers_of(task), self._memory, tables)
 
     def run(self, first: int, last: int) -> None:
         """Write rewards, ends and observations of blocks first to last, after their physics."""
-        with naming_errors(task_name(self._task)):
-            self._loop(
-                self._numbers,
-                self._memory,
-                self._tables,
-                first,
-                last,
-                setups=self._setups,
-                spawns=self._spawns,
-            )
+        try:
+            self._loop(*self._arguments, first, last, self._setups, self._spawns)
+        except Exception as error:
+            raise name_error(task_name(self._task), error) from error
 
     def info(self) -> dict[str, NDArray[np.float64]]:
         """The task's part of info, an array for each key: what it remembers."""

@@ -86,7 +86,8 @@ class Threads:
         if self._process != os.getpid():  # a forked child has none of its parent's threads
             self._pool = None
             self._running = []
-        wait(self._running)
+        if self._running:
+            wait(self._running)
 
     def close(self) -> None:
         """End the other threads. Later calls run on the calling thread. Idempotent."""

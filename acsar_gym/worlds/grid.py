@@ -123,25 +123,22 @@ def search_cells(grid: Grid, start: int, goal: int) -> NDArray[np.int64] | None:
         from scipy.sparse.csgraph import dijkstra  # noqa: PLC0415
 
     free = grid.free
-    width = free.shape[1]
+    # Before 1.15, scipy's searches refuse indices of 64 bits.
+    number = np.arange(free.size, dtype=np.int32).reshape(free.shape)
     ahead = free[:-1] & free[1:]
+    aside = free[:, :-1] & free[:, 1:]
     square = ahead[:, :-1] & ahead[:, 1:]
     diagonal = math.sqrt(2.0) * grid.side
-    steps = []
-    for cells, origin, target, length in (
-        (ahead, 0, width, grid.side),
-        (free[:, :-1] & free[:, 1:], 0, 1, grid.side),
-        (square, 0, width + 1, diagonal),
-        (square, width, 1, diagonal),
-    ):
-        rows, columns = np.nonzero(cells)
-        numbers = rows * width + columns
-        steps.append([numbers + origin, numbers + target, np.full(len(numbers), length)])
-    origins, targets, lengths = np.concatenate(steps, axis=1)
+    steps = [
+        (number[:-1][ahead], number[1:][ahead], grid.side),
+        (number[:, :-1][aside], number[:, 1:][aside], grid.side),
+        (number[:-1, :-1][square], number[1:, 1:][square], diagonal),
+        (number[1:, :-1][square], number[:-1, 1:][square], diagonal),
+    ]
+    columns = zip(*(np.broadcast_arrays(*step) for step in steps), strict=True)
+    origins, targets, lengths = map(np.concatenate, columns)
+    graph = csr_array((lengths, (origins, targets)), shape=(free.size, free.size))
 
-    # Before 1.15, scipy's searches refuse indices of 64 bits.
-    pairs = (origins.astype(np.int32), targets.astype(np.int32))
-    graph = csr_array((lengths, pairs), shape=(free.size, free.size))
     search_from: Any = dijkstra  # its stubs know no single start
     _, previous = search_from(graph, directed=False, indices=start, return_predecessors=True)
     way = [goal]

@@ -43,7 +43,8 @@ class Parking(acsar_gym.Task):
         distance = distance_to_goal(state)
         gain = memory.distance - distance
         memory.distance = distance
-        return 2 * gain - 0.02 + 2 * (outcome == Outcome.SUCCESS)
+        reward: float = 2 * gain - 0.02 + 2 * (outcome == Outcome.SUCCESS)
+        return reward
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         dx = state.goal[0] - state.pose[0]

@@ -64,19 +64,11 @@ def actions(robots: int, steps: int) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.repeat(pushes, 4, axis=0)[:steps].astype(np.float32)
 
 
-@pytest.mark.parametrize("compiled", [True, False], ids=["compiled", "plain"])
-def test_a_batch_and_single_envs_are_equal(
-    mine: Path, compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Lost lines, limits and a geofence included, through the ends of episodes."""
-    task = importlib.import_module("mine.clearance").Clearance
-    monkeypatch.setattr(task, "compiled", compiled)
-    options: dict[str, Any] = {
-        "robot": ROBOT,
-        "worlds": "clutter:8",
-        "faults": {"dropped_lines": 0.1},
-    }
-    robots, checked = 64 if compiled else 8, 4
+def test_a_batch_and_single_envs_are_equal(mine: Path) -> None:
+    """Limits and a geofence included, through the ends of episodes."""
+    importlib.import_module("mine.clearance")
+    options: dict[str, Any] = {"robot": ROBOT, "worlds": "clutter:8"}
+    robots, checked = 64, 4
     batch: Any = gymnasium.make_vec(
         TASK, robots, vectorization_mode="vector_entry_point", autoreset_mode="NextStep", **options
     )

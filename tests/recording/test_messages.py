@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from acsar_gym import RobotConfig
 from acsar_gym.recording import read
-from acsar_gym.recording.events import TABLES, Began
+from acsar_gym.recording.events import TABLES, Began, Event
 from acsar_gym.recording.messages import TOPICS, make_header
 from acsar_gym.recording.tabulator import Tabulator
 from acsar_gym.recording.writer import RecordingWriter
@@ -125,7 +125,8 @@ def test_reasons_lateness_and_age_are_plotted_ten_times_a_second(tmp_path: Path)
     table["reason"][47] = 3
     writer = RecordingWriter(path, config, make_header(config, {}))
     faults = [(1.0, b"the cable is out")]
-    events = [Began(0.0, 10**18, {}), {"ticks": table.tolist(), "faults": faults}]
+    events: list[Event] = [Began(0.0, 10**18, {}), *({"ticks": row} for row in table.tolist())]
+    events.append({"faults": faults})
     for head, tables in Tabulator().add(events, is_last=True):
         writer.write(head, tables)
     writer.close(0)

@@ -48,7 +48,7 @@ def test_a_full_queue_drops_and_counts_and_never_waits(
     recorder.open(CONFIG)
     recorder.begin(0.0, simulated=False)
     for stamp in range(1000):
-        recorder.add({"clocks": [(float(stamp), 0)]})
+        recorder.add({"clocks": (float(stamp), 0)})
     assert recorder.dropped >= 1000 - 2 * 100
     goes.set()
     recorder.close()
@@ -67,7 +67,7 @@ def test_a_recording_with_a_gap_ends_its_replay_there(tmp_path: Path) -> None:
     add = recorder.add
 
     def forget(rows: Any) -> None:
-        if "exchanges" not in rows or rows["exchanges"][0][0] != 33:
+        if "exchanges" not in rows or rows["exchanges"][0] != 33:
             add(rows)
 
     recorder.add = forget  # type: ignore[method-assign]

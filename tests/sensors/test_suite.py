@@ -43,7 +43,7 @@ def test_the_lidar_is_the_first_one_and_others_follow_in_order() -> None:
         (("nobodys:Rays",), "sensor = 'nobodys:Rays'"),
         (("lidr",), "'lidar'"),
         ((special(name=""),), "must be a subclass of Sensor .* not ''"),
-        ((dict,), "must be a subclass of Sensor"),
+        ((lambda link, config: 3,), "must be a subclass of Sensor"),
         ((special(size=0),), "'three_rays': must have a size from 1"),
         ((special(low=2.0),), "and low <= high"),
         ((special(name="lidar"),), "'lidar': that name is taken"),

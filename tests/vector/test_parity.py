@@ -336,7 +336,7 @@ def test_every_field_of_a_state_is_the_single_envs() -> None:
             assert np.shape(value) == np.shape(expected), name
             assert value == pytest.approx(expected, abs=tolerance), name
             assert type(value) is type(expected), name
-        batch.step(np.full((2, 2), 0.7))
-        single.step(np.full(2, 0.7, np.float32))
+        batch.step(np.full((2, 2), 0.75))
+        single.step(np.full(2, 0.75, np.float32))
     batch.close()
     single.close()

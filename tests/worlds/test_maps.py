@@ -171,5 +171,5 @@ def test_without_pillow_it_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(MissingExtraError, match=r"acsar_gym\[pictures\]"):
+    with pytest.raises(MissingExtraError, match=r"'\.\[pictures\]'"):
         loaded(tmp_path, pgm([[BLACK]]))

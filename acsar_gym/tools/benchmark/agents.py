@@ -58,7 +58,7 @@ class Agent:
 
 def _hash_policy(policy: FilePolicy) -> str | None:
     """Hash a policy's file, or the source of its code and of the user's modules that it imports."""
-    if not isinstance(policy, CallablePolicy) or policy.given is not None:
+    if not isinstance(policy, CallablePolicy) or policy.instance is not None:
         return policy.sha256
     path = policy.path
     module = f"acsar_gym_policy_{path.stem}" if path.suffix == ".py" else f"{path}".split(":")[0]

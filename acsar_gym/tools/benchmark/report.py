@@ -165,12 +165,12 @@ def _escape_latex(text: str) -> str:
     return text
 
 
-def check_figure(path: Path | None) -> None:
-    """Check before a long run that a figure can be drawn."""
-    if path is not None:
+def check_figure(figure: Path | None, html: Path | None) -> None:
+    """Check before a long run that a figure, of its own or in a page, can be drawn."""
+    if figure is not None or html is not None:
         check_extra("a figure", "plot", "matplotlib")
-        if path.suffix not in (".svg", ".pdf"):
-            raise ConfigError(f"--figure {path}: must end in .svg or .pdf")
+    if figure is not None and figure.suffix not in (".svg", ".pdf"):
+        raise ConfigError(f"--figure {figure}: must end in .svg or .pdf")
 
 
 def draw_figure(groups: Mapping[str, Sequence[Row]], kind: str) -> bytes:

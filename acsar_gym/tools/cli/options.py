@@ -151,14 +151,6 @@ def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> No
             seconds -= 1.0
 
 
-def ask_user(question: str) -> str:
-    """Ask on the terminal; CancelledError where it ends."""
-    try:
-        return input(escape_unprintable(question))
-    except EOFError as error:
-        raise CancelledError("cancelled: no answer") from error
-
-
 @contextlib.contextmanager
 def _single_keys() -> Iterator[Callable[[float], bool]]:
     """Read single keys; yields a function that waits so long [s] and says whether one came.

@@ -98,6 +98,7 @@ def examine_device(
     link: Link = StoppableLink(device, config)
     if recorder is not None:
         link = recorder.watch(link, config)
+
     failing = "first valid line"
     start = time.monotonic()
     try:

@@ -87,6 +87,7 @@ def _report_drive(link: Ros2Link, robot: Robot, stamps: Sequence[float]) -> Iter
         ", ".join(link.commanders) or "none",
         "end them, or let a twist_mux choose",
     )
+
     rate = round_rate(measure_rate(stamps, range(len(stamps))))
     configured = robot.config.feedback_rate
     yield warn_if(
@@ -101,6 +102,7 @@ def _report_drive(link: Ros2Link, robot: Robot, stamps: Sequence[float]) -> Iter
         link.refused or "none",
         "correct their publisher",
     )
+
     delay = median(link.delays)
     by_clock = ", by /clock" if link.uses_sim_time else ""
     yield warn_if(

@@ -78,7 +78,8 @@ def parse_seen(answers: Sequence[str]) -> dict[str, SeenWheel]:
             f"--saw {' '.join(answers)}: must be four, the wheels that turned for a, b, c and d, "
             "such as b a d c; DEVICE stands before the options"
         )
-    seen = {}
+
+    seen: dict[str, SeenWheel] = {}
     for letter, answer in zip(MOTORS, answers, strict=True):
         match = re.fullmatch(r"([abcd])([pn]?)|none|0", answer.strip().lower())
         if match is None:

@@ -60,8 +60,9 @@ RANDOMIZED_FIELDS = {
     "track_width": "wheel_separation",
 }
 """Fields that randomization varies, but that can't be measured."""
-NOT_COMPARED = ("weights", "distance_scale")
-"""Options of tasks that don't change how a policy drives; `scale` contains the second."""
+NOT_COMPARED = ("weights", "distance_scale", "goal_distance")
+"""Options of tasks that don't change how a policy drives. `scale` contains what the last two change
+in the observation."""
 RETRAIN_HINT = "train it again, or choose the robot of its training with --robot"
 
 AnyEnv = RobotEnv | RobotVectorEnv
@@ -108,10 +109,12 @@ class PolicyDocument(Section):
 
 
 def _show(value: Any) -> str:
-    """Format a value, a range in few digits."""
+    """Format a value, numbers and ranges in few digits."""
     is_range = isinstance(value, list | tuple) and len(value) == 2
     if is_range and all(isinstance(end, float) for end in value):
         return " to ".join(f"{end:.4g}" for end in sorted({*value}))
+    if isinstance(value, float):
+        return f"{value:.6g}"
     return value if isinstance(value, str) else json.dumps(value)
 
 

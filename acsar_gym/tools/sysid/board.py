@@ -179,6 +179,7 @@ class BoardProbe:
         sent = self._sent
         stamps: list[float] = []
         speeds: list[Speeds] = []
+
         while True:
             now = self._link.now()
             if len(stamps) >= int(self.rate * duration) and now - start >= duration:
@@ -337,6 +338,7 @@ def _measure_timeout(probe: BoardProbe, command: Speeds) -> float:
     computer spoils a measurement, so two must agree.
     """
     timeouts: list[float] = []
+
     for _ in range(TIMEOUT_TRIALS):
         commanded = _time_fall(probe, command, ZERO)
         by_itself = _time_fall(probe, command, None)

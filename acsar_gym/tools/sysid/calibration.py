@@ -117,7 +117,8 @@ def integrate_wheels(
     turned = (moved[:, 1] - moved[:, 0]) / (separation * geometry.multiplier)
     middle = np.cumsum(turned) - turned / 2.0
     chord = way * np.sinc(turned / (2.0 * math.pi))
-    x, y = (chord * np.cos(middle)).sum(), (chord * np.sin(middle)).sum()
+    x = (chord * np.cos(middle)).sum()
+    y = (chord * np.sin(middle)).sum()
     return float(x), float(y), float(turned.sum())
 
 
@@ -222,6 +223,7 @@ class GivenReadings(NamedTuple):
             ConfigError: A number is too large, or there isn't a reading for each run.
         """
         options = {"measured": "straight", "aside": "straight", "measured-deg": "turn"}
+
         for (option, manoeuvre), numbers in zip(options.items(), self, strict=True):
             runs = manoeuvres.count(manoeuvre)
             if len(numbers) not in (0, runs):
@@ -239,7 +241,8 @@ class GivenReadings(NamedTuple):
         """Return the runs with these readings. If a drive failed, there are fewer runs."""
         columns = [self.measured, self.aside] if self.aside else [self.measured]
         rows = {"straight": zip(*columns, strict=True), "turn": zip(self.degrees, strict=True)}
-        given = []
+
+        measured_runs = []
         for run in runs:
             row = next(rows[run.manoeuvre], ())
             readings = run.readings
@@ -251,8 +254,8 @@ class GivenReadings(NamedTuple):
                 # Backward runs have positive readings as well.
                 distances = read_tape("distance", abs(distance))
                 readings = (distances, *(read_tape("aside", value) for value in offset))
-            given.append(replace(run, readings=readings))
-        return given
+            measured_runs.append(replace(run, readings=readings))
+        return measured_runs
 
 
 def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
@@ -263,8 +266,10 @@ def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
     """
     geometry = Geometry.of(config)
     odometry = predict_readings(run, geometry, config.wheel_separation)
+
     for reading, expected in zip(run.readings, odometry, strict=True):
-        low, high = 1.0 - CONTRADICTION_SHARE, 1.0 + CONTRADICTION_SHARE
+        low = 1.0 - CONTRADICTION_SHARE
+        high = 1.0 + CONTRADICTION_SHARE
         share = reading.value / (expected or math.inf)
         if reading.kind == "distance" and expected < SHORTEST_RUN:
             raise ConfigError(f"{run.name}: ended where it began, by odometry: not a straight run")

@@ -163,7 +163,8 @@ def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -
             shorter of the two is taken. A run that goes backward starts at its far end.
     """
     reach = footprint_radius(config)
-    x, y = space[0] - reach, space[1] - reach
+    x = space[0] - reach
+    y = space[1] - reach
     behind = min(x, y)
     if plan.back:
         return Geofence(min_x=-x, max_x=behind, min_y=-y, max_y=y)

@@ -119,6 +119,7 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
         raise ConfigError("no run has a reading yet: measure its end, then give --measured")
     for run in used:
         check_readings(run, config)
+
     nominal = Geometry.of(config)
     separation = config.wheel_separation
     centre = np.array([1.0, nominal.ratio, 1.0])
@@ -132,8 +133,11 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
         return np.asarray((measured - np.concatenate(predicted)) / sigmas)
 
     def solve(prior: Floats) -> Any:
+        def residuals_with_prior(x: Floats) -> Floats:
+            return np.append(residuals(x), (x - centre) / prior)
+
         return optimize.least_squares(
-            lambda x: np.append(residuals(x), (x - centre) / prior),
+            residuals_with_prior,
             centre,
             x_scale=PRIOR,
             loss="soft_l1",
@@ -190,6 +194,7 @@ def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Interval]:
     """
     fields: dict[str, Interval] = {}
     mean = (config.left_wheel_radius_multiplier + config.right_wheel_radius_multiplier) / 2.0
+
     for name, interval in fit.narrowed.items():
         if name == "wheel_radius":
             fields[name] = Interval(*(number / mean for number in interval))
@@ -218,6 +223,7 @@ def make_calibrated_config(
     fields = fitted_fields(fit, config)
     method = "calibrate " + " ".join(sorted({run.manoeuvre for run in fit.runs}))
     logs = (hash_runs(fit.runs),)
+
     measured: dict[str, Measured | None] = {
         name: Measured(low=interval.low, high=interval.high, method=method, logs=logs)
         for name, interval in fields.items()
@@ -231,15 +237,16 @@ def make_calibrated_config(
     if in_ros:
         error = 1.0
         if "wheel_radius" in fields and config.ros2.command != "wheel_speeds":
-            gains = [config.motor.of_wheel(wheel).gain for wheel in range(4)]
-            error = fmean(gains)
-            changes["motor"] = {"gain": tuple(gain / error for gain in gains)}
-            for name, known in config.measured.items():
+            gain = config.motor.gain
+            error = fmean(gain) if isinstance(gain, tuple) else gain
+            divided = tuple(wheel / error for wheel in gain) if isinstance(gain, tuple) else 1.0
+            changes["motor"] = {"gain": divided}
+            for name, interval in config.measured.items():
                 if name.startswith("motor.gain"):
-                    limits = {"low": known.low / error, "high": known.high / error}
-                    measured[name] = known.model_copy(update=limits)
-        left, right, separation = config.twist_geometry
-        radii = (left / error, right / error)
+                    limits = {"low": interval.low / error, "high": interval.high / error}
+                    measured[name] = interval.model_copy(update=limits)
+        left_radius, right_radius, separation = config.twist_geometry
+        radii = (left_radius / error, right_radius / error)
         changes["ros2"] = {"wheel_radii": radii, "wheel_separation": separation}
     return config.with_(**changes, measured=update_measured(config.measured, measured))
 
@@ -249,6 +256,7 @@ def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
     table = Table(title="Calibrated, with 95 % intervals", title_justify="left")
     for column in ("field", "config", "found", "low", "high"):
         table.add_column(column, justify="right" if table.columns else "left")
+
     for name, interval in fitted_fields(fit, config).items():
         configured = config.body.turn_factor
         if name != TURN_FACTOR_FIELD:
@@ -273,18 +281,19 @@ def runs_table(fit: GeometryFit, config: RobotConfig) -> Table:
     table = Table(title="Runs", title_justify="left")
     for column in ("run", "measured", "odometry before", "after", "off by"):
         table.add_column(column, justify="right" if table.columns else "left")
+
     separation = config.wheel_separation
     for run in fit.runs:
-        before = predict_readings(run, Geometry.of(config), separation)
-        after = predict_readings(run, fit.geometry, separation)
+        configured = predict_readings(run, Geometry.of(config), separation)
+        calibrated = predict_readings(run, fit.geometry, separation)
         sigmas = reading_sigmas(run, fit.geometry, separation)
         for number, reading in enumerate(run.readings):
-            off = reading.value - after[number]
+            off = reading.value - calibrated[number]
             mark = ""
             if abs(off) > 4.0 * sigmas[number]:
                 mark = " !"
                 table.caption = "! off by more than 4 times what its scale allows"
-            values = (reading.value, before[number], after[number], off)
+            values = (reading.value, configured[number], calibrated[number], off)
             cells = [reading.format(value) for value in values]
             name = "" if number else escape_text(run.name)
             table.add_row(name, f"{reading.kind} {cells[0]}", *cells[1:3], cells[3] + mark)
@@ -296,6 +305,7 @@ def format_calibration(
 ) -> dict[str, Any]:
     """Return the result for JSON; without a fit, if no run has a reading, nothing is found."""
     fields = fitted_fields(fit, config) if fit else {}
+
     return {
         "found": {name: interval._asdict() for name, interval in fields.items()},
         "not_told": [name for name in PARAMETERS if fit is None or name not in fit.narrowed],

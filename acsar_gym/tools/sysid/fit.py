@@ -107,18 +107,18 @@ BOARD_PARAMETERS = (
     Parameter(
         name="firmware.command_delay",
         mean=0.02,
-        deviation=0.06,
+        deviation=0.05,
         bounds=(0.0, 0.5),
         step=1e-3,
-        resolution=0.01,
+        resolution=0.015,
     ),
     Parameter(
         name="encoder.window",
         mean=0.05,
-        deviation=0.05,
+        deviation=0.06,
         bounds=(5e-4, 0.4),
         step=2e-3,
-        resolution=0.02,
+        resolution=0.03,
     ),
     Parameter(
         name="firmware.command_timeout",
@@ -126,7 +126,7 @@ BOARD_PARAMETERS = (
         deviation=1.0,
         bounds=(0.02, 3600.0),
         step=2e-3,
-        resolution=0.015,
+        resolution=0.02,
         manoeuvre="2 s without commands while wheels turn",
     ),
 )
@@ -163,6 +163,8 @@ LEAST_CUT = 0.1
 """Finer steps hide whether speeds are cut to them or rounded [rad/s]."""
 CLEARLY_LESS = 0.95
 """Share of the cost below which speeds are cut, not rounded."""
+ALIKE = 0.995
+"""Share of a cost that is as good: noise moves costs by so much."""
 SEARCH_EVALUATIONS = 10
 EVALUATIONS = 40
 """Evaluations of the residuals from a starting point, and to the end, at most."""
@@ -250,6 +252,8 @@ class MotorFit:
     """The parameters."""
     spread: Floats
     """Their covariance."""
+    slack: Floats
+    """By how much the board's times differ from those of other starting points that fit as well."""
     residuals: Floats
     """By how much all lines are off, (wheels, lines) [rad/s]."""
     jacobian: Floats
@@ -293,7 +297,14 @@ def fit_tracks(
     problem = make_problem(tracks, wheels, config, Rounding(step))
     start = _search_start(problem)
     problem = replace(problem, prior=_with(problem.prior, TIMEOUT, start[TIMEOUT]))
-    fits = [_solve(problem, _with(start, WINDOW, w), SEARCH_EVALUATIONS) for w in SEARCHED_WINDOWS]
+
+    # The cost is flat along averaging times with the same middle, and has several minima.
+    best = _solve(problem, start, EVALUATIONS)
+    fits = [best]
+    for window in SEARCHED_WINDOWS:
+        delay = best[DELAY] + (best[WINDOW] - window) / 2.0
+        moved = _with(_with(best, WINDOW, window), DELAY, max(0.0, delay))
+        fits.append(_solve(problem, moved, SEARCH_EVALUATIONS))
     best = min(fits, key=lambda x: _cost(problem, x))
     if step > LEAST_CUT:
         cuts = replace(problem, responder=replace(problem.responder, rounding=Rounding(step, True)))
@@ -302,11 +313,14 @@ def fit_tracks(
             problem = cuts
             best = cut
     x = _solve(problem, best, EVALUATIONS)
+    similar = [x, *(near for near in fits if ALIKE * _cost(problem, near) < _cost(problem, x))]
 
     residuals = problem.residuals(x)
     jacobian = problem.jacobian(x, residuals)
     spread = _estimate_spread(problem, residuals, jacobian)
-    return MotorFit(problem, x, spread, residuals, jacobian)
+    slack = np.abs(np.array(similar) - x).max(axis=0)
+    slack[:DELAY] = 0.0
+    return MotorFit(problem, x, spread, slack, residuals=residuals, jacobian=jacobian)
 
 
 def make_problem(

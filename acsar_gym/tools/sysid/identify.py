@@ -70,6 +70,8 @@ SAME_RATE = 0.05
 """A feedback rate is as configured within this share."""
 LEAST_RATE_SHARE = 0.002
 """Half width of the rate's interval, as a share: clocks differ by that much."""
+SAME_WINDOW = 0.02
+"""Averaging times that differ by less than this are nearly the same for a drive [s]."""
 SAME_STEP = 0.01
 """Steps of printed speeds that differ by less than this share are the same."""
 COUNT_SHARE = 0.1
@@ -401,14 +403,15 @@ def estimate_noise(fit: MotorFit) -> Floats:
     blur = fit.jacobian[:, :, DELAY] * fit.problem.responder.dt
     jumps = np.median(np.abs(np.diff(fit.residuals, axis=1)), axis=1, keepdims=True)
     scatter = NORMAL_MEDIAN / math.sqrt(2.0) * jumps
-    return np.asarray(np.sqrt(blur**2 + scatter**2 + PRINTED_STEP**2 / 12.0))
+    rounding = max(fit.problem.responder.rounding.step, PRINTED_STEP) / math.sqrt(12.0)
+    return np.asarray(np.hypot(blur, np.maximum(scatter, rounding)))
 
 
 def _estimate(fit: MotorFit, row: Parameter, place: int) -> Estimate | None:
     """A fitted number, or its logarithm; None if the log doesn't narrow its interval."""
     value = float(fit.x[place])
     sigma = math.sqrt(float(fit.spread[place, place]))
-    half = max(row.resolution, NORMAL_QUANTILE * INTERVAL_FACTOR * sigma)
+    half = max(row.resolution, NORMAL_QUANTILE * INTERVAL_FACTOR * sigma) + float(fit.slack[place])
     low = value - half
     high = value + half
     coarse = max(fit.problem.responder.rounding.step, LEAST_DEADBAND)
@@ -484,7 +487,7 @@ def _find_times(fit: MotorFit | None, config: RobotConfig, missing: str) -> list
     if fit is None:
         return [delay, window, timeout]
 
-    # The twin averages over whole loops, and as configured if that is in the interval. If the
+    # The twin averages over whole loops, and as configured if that is hardly another time. If the
     # configured time can't be true, any is better.
     dt = fit.problem.responder.dt
     fitted = fit.times.window
@@ -493,7 +496,7 @@ def _find_times(fit: MotorFit | None, config: RobotConfig, missing: str) -> list
     if estimate is None and fit.times.delay + (fitted - averages) / 2.0 < -dt:
         estimate = Estimate(fitted, 0.0, 2.0 * fitted + BOARD_PARAMETERS[WINDOW].resolution)
     if estimate is not None:
-        if not estimate.low <= averages <= estimate.high:
+        if abs(averages - fitted) > SAME_WINDOW:
             averages = max(1, round(fitted / dt)) * dt
         window = window.tell(Estimate(averages, max(1e-3, estimate.low), estimate.high))
 

@@ -346,7 +346,7 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, part: Episode) ->
         return None
 
 
-def make_blueprint(part: Episode) -> rrb.Blueprint:
+def make_blueprint(part: Episode, *, is_live: bool) -> rrb.Blueprint:
     """Lay the views out: from above, wheels, command and why, log."""
     past = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
@@ -385,6 +385,10 @@ def make_blueprint(part: Episode) -> rrb.Blueprint:
                 row_shares=[5, 3, 2],
             ),
         ),
-        rrb.TimePanel(timeline=TIMELINE, play_state="following", state="collapsed"),
+        rrb.TimePanel(
+            timeline=TIMELINE,
+            play_state="following" if is_live else "playing",
+            state="collapsed",
+        ),
         rrb.SelectionPanel(state="hidden"),
     )

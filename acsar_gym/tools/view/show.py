@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import os
+import shutil
 import socket
 import subprocess
 import tempfile
@@ -28,6 +30,7 @@ from acsar_gym.tools.view.entities import EpisodeLogger, make_blueprint
 
 HOST = "127.0.0.1"
 START_TIMEOUT = 60.0  # longest wait for the viewer [s]
+FLUSH_TIMEOUT = 5.0  # longest wait for data to be sent [s]
 Connect = Callable[[rr.RecordingStream], None]
 """Sends a recording of Rerun somewhere."""
 
@@ -50,10 +53,13 @@ class RerunSink(Sink):
         self._header = header
         self._connect = connect
         self._end = 0.0
+        self._is_live = False
 
     def write(self, head: Mapping[str, Any], tables: Tables) -> None:
         """Show a block of a drive that goes on."""
-        self.show(head["episode"], TableEpisode.of(Head.model_validate(head), tables))
+        self._is_live = True
+        with contextlib.suppress(Exception):  # of a viewer that was closed: the drive goes on
+            self.show(head["episode"], TableEpisode.of(Head.model_validate(head), tables))
 
     def show(self, number: int, part: Episode) -> None:
         """Show a part of an episode with a number."""
@@ -70,12 +76,12 @@ class RerunSink(Sink):
         seed = part.info.get("seed")
         name = f"episode {self.count}" + (f", seed {seed}" if isinstance(seed, int) else "")
         self._stream.send_recording_name(name)
-        self._stream.send_blueprint(make_blueprint(part))
+        self._stream.send_blueprint(make_blueprint(part, is_live=self._is_live))
         self._logger = EpisodeLogger(self._stream, self._config, self._header)
 
     def _finish_episode(self) -> None:
         if self.count:
-            self._stream.flush()
+            self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
             self._stream.disconnect()
 
     def end(self, text: str, level: str) -> None:
@@ -87,7 +93,8 @@ class RerunSink(Sink):
     def close(self, dropped: int) -> None:
         """Note the end of a drive."""
         lost = f"; {dropped:,} events were dropped" if dropped else ""
-        self.end(f"the recording ends{lost}", "WARN" if dropped else "INFO")
+        with contextlib.suppress(Exception):
+            self.end(f"the recording ends{lost}", "WARN" if dropped else "INFO")
 
 
 def find_recording(source: str) -> Path:
@@ -177,7 +184,9 @@ def start_viewer() -> Viewer:
     with socket.create_server((HOST, 0)) as listener:
         port = listener.getsockname()[1]
     folder = tempfile.mkdtemp(prefix="acsar-view-")
-    environment = {**os.environ, "XDG_CONFIG_HOME": folder, "RUST_LOG": "error"}
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    homes = {"XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder}
+    environment = {**os.environ, **homes, "RUST_LOG": "error"}
     program = find_rerun()
     off = [program, "analytics", "disable"]
     subprocess.run(off, check=False, env=environment, capture_output=True)

@@ -5,11 +5,10 @@ numba caches the loop beside the class's own file, under the name of the class.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import re
 import sys
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import FunctionType
 from typing import Any
 
@@ -78,20 +77,10 @@ def _name_in_cache(kind: type, methods: Collection[str]) -> str:
     return f"{kind.__qualname__}.{digest.hexdigest()[:16]}"
 
 
-@contextlib.contextmanager
-def naming_errors(name: str) -> Iterator[None]:
-    """Name the task or sensor whose compiled methods raise an error in the block.
-
-    Raises:
-        ConfigError: numba can't compile a method, or a method raises an error.
-    """
-    try:
-        yield
-    except NumbaError as error:
-        functions = re.findall(r"<function ([\w.<>]+) at ", str(error))
-        function = f"{functions[-1]}()" if functions else "a method"
-        raise ConfigError(f"{name}: numba can't compile {function}\n{error}") from error
-    except Exception as error:
-        raise ConfigError(
-            f"{name}: {type(error).__name__}: {error}, in a compiled method"
-        ) from error
+def name_error(name: str, error: Exception) -> ConfigError:
+    """Name the task or sensor whose compiled methods can't be compiled, or raise an error."""
+    if not isinstance(error, NumbaError):
+        return ConfigError(f"{name}: {type(error).__name__}: {error}, in a compiled method")
+    functions = re.findall(r"<function ([\w.<>]+) at ", str(error))
+    function = f"{functions[-1]}()" if functions else "a method"
+    return ConfigError(f"{name}: numba can't compile {function}\n{error}")

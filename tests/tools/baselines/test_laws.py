@@ -70,7 +70,11 @@ def test_a_baseline_is_evaluated_by_its_name() -> None:
 @pytest.mark.parametrize(
     ("name", "env", "said"),
     [
-        ("nosuch", "", "come along: barn.*baselines: turn_drive, pure_pursuit, navfn, dwa, "),
+        (
+            "nosuch",
+            "",
+            "packaged policies: barn.*baselines: turn_drive, pure_pursuit, navfn, dwa, ",
+        ),
         ("dwa", "", "--policy dwa --env obstacle_goal"),
         ("navfn", "point_goal", "needs a LiDAR"),
         ("pure_pursuit", "point_goal", "needs a path"),

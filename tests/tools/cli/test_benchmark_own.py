@@ -74,7 +74,7 @@ def write_task(module: str, worlds: str = "", options: str = "") -> str:
         ('worlds = "rooms:train"', "", {"test": ("acsar", "rooms", 100_000, "success")}),
         (
             "",
-            ", worlds='clutter:50'",
+            ", kwargs={'worlds': 'clutter:50'}",
             {"test": ("acsar", "clutter", 100_000, "success")},
         ),
         (

@@ -24,14 +24,14 @@ EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
 @pytest.fixture
 def ending(monkeypatch: pytest.MonkeyPatch) -> Any:
     """`ending(error, after=2)` ends every evaluation so."""
-    whole = evaluation.run_episodes
+    whole = evaluation.run_resets
 
     def install(error: BaseException, after: int = 2) -> None:
-        def episodes(env: Any, policy: Any, count: int, seed: int, **how: Any) -> Iterator[Any]:
-            yield from whole(env, policy, min(count, after), seed, **how)
+        def episodes(env: Any, policy: Any, resets: Any, late_share: float) -> Iterator[Any]:
+            yield from whole(env, policy, resets[:after], late_share)
             raise error
 
-        monkeypatch.setattr(evaluation, "run_episodes", episodes)
+        monkeypatch.setattr(evaluation, "run_resets", episodes)
 
     return install
 
@@ -103,13 +103,13 @@ def test_invalid_episodes_have_an_exit_code(
     call: Call,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    whole = evaluation.run_episodes
+    whole = evaluation.run_resets
 
     def episodes(*arguments: Any, **options: Any) -> Iterator[Episode]:
         for result in whole(*arguments, **options):
             yield dataclasses.replace(result, valid=False, success=success)
 
-    monkeypatch.setattr(evaluation, "run_episodes", episodes)
+    monkeypatch.setattr(evaluation, "run_resets", episodes)
     status, output, message = call(*command)
     assert status == code
     assert said in message

@@ -113,7 +113,7 @@ def test_an_env_that_is_not_there_is_one_line(
 @pytest.mark.parametrize(
     ("task", "said"),
     [
-        ("Unsound", "mine/Unsound-v0.reward returned nan: must be a finite number"),
+        ("Unsound", "mine/Unsound-v0.reward returned nan for robot 0: must be a finite number"),
         ("Failing", "mine/Failing-v0: ZeroDivisionError: division by zero, in a compiled"),
     ],
 )

@@ -132,6 +132,7 @@ def test_intervals_widen_if_residuals_exceed_their_scales(gains: tuple[float, ..
     found = make_calibrated_config(fit, guess)
     for name, interval in found.measured.items():
         true = twin.body.turn_factor if name in TURNING else getattr(twin, name)
+        assert true is not None
         assert interval.low <= true <= interval.high, name
 
 
@@ -197,6 +198,20 @@ def test_a_controller_in_ros_goes_on_taking_twists_as_it_did() -> None:
     again = make_calibrated_config(fit, found, in_ros=True)
     assert again.twist_geometry == ACSAR.twist_geometry
     assert make_calibrated_config(fit, ACSAR).ros2 == ACSAR.ros2
+
+
+@pytest.mark.parametrize("gain", [0.97, (0.96, 0.98, 0.97, 0.97)])
+def test_a_calibrated_radius_takes_its_error_out_of_the_gain(gain: float | tuple[float]) -> None:
+    """Twists were sent by 0.0485 m, so that the wheels of a controller turned 3 % slower."""
+    known = {"motor.gain": Measured(low=0.96, high=0.98, method="identify")}
+    guessed = ACSAR.with_(wheel_radius=0.0485, motor={"gain": gain}, measured=known)
+    fit = fitted(wheel_radius=Interval(0.05, 0.0499, 0.0501))
+    found = make_calibrated_config(fit, guessed, in_ros=True)
+    gains = [found.motor.of_wheel(wheel).gain for wheel in range(4)]
+    assert sum(gains) / 4.0 == pytest.approx(1.0)
+    assert found.twist_geometry[:2] == pytest.approx((0.05, 0.05))
+    assert found.measured["motor.gain"].low == pytest.approx(0.96 / 0.97)
+    assert make_calibrated_config(fit, guessed).motor == guessed.motor
 
 
 def fitted(**told: Interval) -> GeometryFit:

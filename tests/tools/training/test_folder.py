@@ -7,10 +7,6 @@ import csv
 import gc
 import hashlib
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +16,6 @@ from disk_tools import full_disk
 from training_tools import tiny
 
 from acsar_gym.errors import AcsarError, ConfigError
-from acsar_gym.resources import AGENTS
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.training import folders
 from acsar_gym.tools.training.options import TrainingOptions
@@ -31,8 +26,6 @@ pytestmark = pytest.mark.xdist_group(__name__)
 
 STEPS = 2048
 """Eight rollouts."""
-PATIENCE = 300.0
-"""For a subprocess on a busy machine [s]."""
 
 
 def digest(out: Path) -> dict[str, str]:
@@ -77,31 +70,35 @@ def test_without_a_name_the_next_number_is_taken(
         assert folders.make_folder(None, "point_goal") == Path(f"runs/point_goal/{number}")
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT], ids=lambda number: number.name)
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, MemoryError])
 @pytest.mark.parametrize(
     "algo",
     ["ppo", *(pytest.param(name, marks=pytest.mark.slow) for name in ("sac", "tqc", "ppo_lstm"))],
 )
 def test_a_training_goes_on_at_its_newest_model(
-    algo: str, number: signal.Signals, tmp_path: Path
+    algo: str, ending: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """After SIGKILL at its last checkpoint, after Ctrl-C at model.zip."""
-    command = [sys.executable, str(AGENTS / "train.py"), "--robots", "8", "--threads", "1"]
-    command += ["--steps", str(STEPS), "--seed", "7", "--algo", algo, "--checkpoint-seconds", "0"]
-    command += ["--learning-rate", "0.003", "--no-progress", "--out", str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        until = time.monotonic() + PATIENCE
-        while not folders.find_models(tmp_path) and time.monotonic() < until:
-            assert process.poll() is None
-            time.sleep(0.01)
-        process.send_signal(number)
+    """At model.zip after Ctrl-C, at the last checkpoint after an end that saves nothing."""
+    from acsar_gym.tools.training import callbacks
+
+    def end(self: callbacks.WholeCohorts) -> None:
+        if self.num_timesteps > STEPS // 2:
+            raise ending
+
+    options = tiny(
+        tmp_path, algo=algo, steps=STEPS, seed=7, learning_rate=0.003, checkpoint_seconds=0.0
+    )
+    with monkeypatch.context() as patch, pytest.raises(ending):
+        patch.setattr(callbacks.WholeCohorts, "_on_rollout_end", end)
+        train(options)
     newest = folders.find_models(tmp_path)[0]
     steps = folders.count_steps(newest)
     assert 0 < steps < STEPS
-    assert (newest.name == "model.zip") == (number == signal.SIGINT)
+    assert (newest.name == "model.zip") == (ending is KeyboardInterrupt)
     rows = [row for row in curve(tmp_path) if int(row["steps"]) <= steps]
     (tmp_path / "checkpoints" / "rl_model_9999_steps.zip").write_bytes(b"PK")  # cut
-    assert resume(tmp_path, steps=STEPS).steps == STEPS
+
+    assert resume(tmp_path).steps == STEPS
     assert curve(tmp_path)[: len(rows)] == rows
     assert int(curve(tmp_path)[-1]["steps"]) == STEPS
     config = yaml.safe_load((tmp_path / "config.yml").read_text())

@@ -116,7 +116,7 @@ def test_a_drive_that_goes_on_is_shown_as_its_recording(tmp_path: Path) -> None:
         stream.save(tmp_path / "live.rrd")
 
     recorder = Recorder(
-        tmp_path / "tape.mcap", sinks=[lambda *robot: RerunSink(*robot, connect=save)]
+        tmp_path / "tape.mcap", sinks=[lambda config, header: RerunSink(config, header, save)]
     )
     with Robot(open_link("planar", config), config, ["lidar"], recorder) as robot:
         for _ in range(200):
@@ -126,6 +126,18 @@ def test_a_drive_that_goes_on_is_shown_as_its_recording(tmp_path: Path) -> None:
     assert set(live) == set(afterwards)
     for entity in ("/run/robot", "/run/scan", "/run/wheels/front_left/sent", "/run/log"):
         assert live[entity] == afterwards[entity]
+
+
+def test_a_viewer_that_fails_costs_no_recording(tmp_path: Path) -> None:
+    def fail(stream: rerun.RecordingStream) -> None:
+        raise RuntimeError("closed")
+
+    path = tmp_path / "tape.mcap"
+    recorder = Recorder(path, sinks=[lambda config, header: RerunSink(config, header, fail)])
+    with Robot(open_link("planar"), recorder=recorder) as robot:
+        robot.drive(0.3, 0.5)
+    assert recorder.problem is None
+    assert not read(path).cut
 
 
 def test_a_viewer_that_does_not_start_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,7 +80,7 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
 
     how.check()
     check_writable(how.csv, how.latex, how.figure, force=how.force)
-    report.check_figure(how.figure)
+    report.check_figure(how.figure, how.html)
     if how.out is not None and how.resume is not None:
         raise ConfigError("--resume: continues in its own folder: leave out --out")
 

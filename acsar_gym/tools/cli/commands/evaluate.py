@@ -39,13 +39,13 @@ class PolicyOptions:
     """The policy."""
 
     policy: str = "point_goal"
-    """ONNX file, name of a packaged policy, or a Python function such as mine.py:act."""
+    """ONNX file, packaged policy, or Python function such as mine.py:act."""
     trust: bool = False
-    """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
+    """Allow a stable-baselines3 zip, which can run code."""
     env: EnvArg = ""
-    """Overrides the env that the policy names: point_goal, ..., or mine.module:mine/Task-v0."""
+    """Overrides the env that the policy names: barn, mine.module:mine/Task-v0."""
     anyway: bool = False
-    """Drive a real robot of another size or speed than the robots of the training."""
+    """Drive a real robot of another size or speed than in the training."""
 
     def load(self) -> FilePolicy:
         """Load the policy."""
@@ -61,29 +61,27 @@ class RobotOptions(RecordOptions):
     """The robot and its devices, recording, and which drives count."""
 
     link: str = "bullet"
-    """bullet, planar, mujoco, a serial device, or ros2 (ros2:/NAMESPACE)."""
+    """bullet, planar, mujoco, a serial device, or ros2."""
     robot: RobotArg = None
     """Preset or config file."""
     lidar: LidarArg = None
-    """On hardware, if the policy needs a LiDAR: its model and device, such as
-    rplidar:///dev/ttyUSB1 or ld06:///dev/ttyUSB1, or module:Class of your own."""
+    """LiDAR on hardware: rplidar:///dev/ttyUSB1, ld06:///dev/ttyUSB1, module:Class."""
     late_share: float = 0.01
-    """On hardware: largest share of late ticks in a valid episode."""
+    """Largest share of late ticks in a valid episode, on hardware."""
     ros_args: RosArgs = ()
-    """With ros2: arguments of ROS, up to the end or to --, such as -r /tf:=/robot1/tf."""
+    """Arguments of ROS, up to the end or to --: -r /tf:=/robot1/tf."""
 
 
 @dataclass(frozen=True)
-class EpisodeOptions(WorldFileOptions):
-    """The episodes of an evaluation, and their worlds."""
+class EvaluationOptions(PageOptions, WorldFileOptions, RobotOptions, PolicyOptions):
+    """Policy, robot, episodes, worlds and output."""
 
     episodes: int = 100
     """Number of episodes."""
     seed: int = 0
     """Seed of the first episode; the next seeds count up."""
     worlds: Worlds = ()
-    """Overrides the test split: rooms:test, barn:1000-1099, ..., a file, or a folder. May be
-    repeated."""
+    """Instead of the test split: barn:1000-1099, ..., a file, or a folder."""
     difficulty: float | None = None
     """Difficulty of generated worlds, 0 to 1."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -91,43 +89,34 @@ class EpisodeOptions(WorldFileOptions):
 
 
 @command("evaluate", "policies", drives=True)
-def evaluate_policy(
-    policy: PolicyOptions, robot: RobotOptions, episodes: EpisodeOptions, output: PageOptions
-) -> int:
-    """Evaluate a policy over some episodes on any link, and print its metrics.
-
-    Args:
-        policy: the policy.
-        robot: link, robot, LiDAR, and recording.
-        episodes: the episodes and their worlds.
-        output: results in files.
-    """
+def evaluate_policy(evaluation: EvaluationOptions) -> int:
+    """Evaluate a policy over some episodes on any link, and print its metrics."""
     from acsar_gym.guard.estop import check_available  # noqa: PLC0415
     from acsar_gym.links.factory import is_device  # noqa: PLC0415
     from acsar_gym.tools.evaluation import report, runs  # noqa: PLC0415
 
-    output.check()
-    if is_device(robot.link):
-        check_available(robot.link)
-    ROS_ARGUMENTS.set(robot.ros_args)
-    seeds = runs.seed_range(episodes.seed, episodes.episodes)
-    loaded = policy.load()
+    evaluation.check()
+    if is_device(evaluation.link):
+        check_available(evaluation.link)
+    ROS_ARGUMENTS.set(evaluation.ros_args)
+    seeds = runs.seed_range(evaluation.seed, evaluation.episodes)
+    loaded = evaluation.load()
     done = runs.evaluate_policy(
         loaded,
-        robot.link,
-        robot.robot,
+        evaluation.link,
+        evaluation.robot,
         seeds,
-        late_share=robot.late_share,
-        workers=episodes.workers,
-        worlds=episodes.place(*episodes.worlds),
-        difficulty=episodes.difficulty,
-        lidar=robot.lidar,
-        record=robot.recorder("evaluate", link=robot.link, policy=loaded.about),
+        late_share=evaluation.late_share,
+        workers=evaluation.workers,
+        worlds=evaluation.place(*evaluation.worlds),
+        difficulty=evaluation.difficulty,
+        lidar=evaluation.lidar,
+        record=evaluation.recorder("evaluate", link=evaluation.link, policy=loaded.about),
     )
-    title = f"{policy.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
-    if output.html is not None and done.results:
-        report.write_evaluation_page(output.html, title, done.summary, done.results)
-    return report_run(title, robot.link, done, output.json)
+    title = f"{evaluation.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {done.worlds}"
+    if evaluation.html is not None and done.results:
+        report.write_evaluation_page(evaluation.html, title, done.summary, done.results)
+    return report_run(title, evaluation.link, done, evaluation.json)
 
 
 @command("run", "policies", drives=True)
