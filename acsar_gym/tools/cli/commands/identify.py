@@ -87,12 +87,12 @@ def identify_robot(
     duration: float = DURATION,
     yes: bool = False,
 ) -> int:
-    """Find how motors and board answer, from what the wire carries, and write it to a robot's file.
+    """Find how motors and board respond, by the wire alone, and write it to a robot's file.
 
     With a device, the wheels turn for 20 s with steps, slow staircases and a pause without
-    commands: lift the robot! With recordings, whatever they hold is used. Either way it says
-    first which parameters the log can't tell, and which manoeuvre is missing. Where the model of
-    motors and board doesn't describe what was recorded, it says in which way, and writes no file.
+    commands: lift the robot! With recordings, all their drives are used. A parameter that the log
+    doesn't narrow keeps its value, and the table names the missing manoeuvre. If the model of
+    motors and board doesn't describe what was recorded, a file is written only with --anyway.
 
     Args:
         sources: serial device, planar, bullet, mujoco; or recordings of one robot, made with
