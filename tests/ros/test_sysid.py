@@ -87,10 +87,11 @@ def test_a_foreign_robot_is_identified_with_its_controllers_delay(
     )
     out, findings = tmp_path / "found.yaml", tmp_path / "found.json"
     log = tmp_path / "drive.mcap"
+    known = save(tmp_path, ros2=FOX["ros2"] | {"wheel_separation": 0.39})
     run(
         start_program(
             *("-m", "acsar_gym", "identify", f"ros2:{namespace}", "--yes", "--duration", 13),
-            *("--robot", save(tmp_path), "--out", out, "--json", findings, "--record", log),
+            *("--robot", known, "--out", out, "--json", findings, "--record", log),
             "--anyway",  # on a busy computer the robot takes commands late, now and then
         )
     )
@@ -100,12 +101,9 @@ def test_a_foreign_robot_is_identified_with_its_controllers_delay(
         "firmware.feedback_rate": 50.0,
         "motor.time_constant": 0.13,
         "motor.gain": 1.0,
-        "ros2.wheel_separation": 0.39,
     }
     check_holds(intervals(findings), truth)
-    found = RobotConfig.load(out)
-    assert found.ros2.wheel_separation == pytest.approx(0.39, rel=0.02)
-    assert found.effective_separation == 0.3  # which is odometry's
+    assert RobotConfig.load(out).effective_separation == 0.3  # which is odometry's
     # The twin answers as the robot did, a recording of it included.
     gap = tmp_path / "gap.json"
     run(start_program("-m", "acsar_gym", "gap", log, "--robot", out, "--json", gap))
