@@ -381,8 +381,8 @@ class Ros2Config(Section):
     """Topic of the LiDAR `--lidar ros2`, sensor_msgs/LaserScan."""
     wheel_separation: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
     """Separation by which the robot's controller converts twists to speeds of wheels, its
-    multiplier included [m]. None: that of the robot. `identify` measures it, `calibrate` keeps
-    it."""
+    multiplier included [m]. None: that of the robot. Write it as the controller's file has it:
+    `identify` and `calibrate` keep it."""
     wheel_radii: tuple[Length, Length] | None = None
     """Radii of the left and right wheels by which the controller converts twists [m]."""
     feedback: Literal["joint_states", "odom"] | None = None
