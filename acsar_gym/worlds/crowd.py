@@ -30,6 +30,7 @@ from acsar_gym.worlds.geometry import (
     Surroundings,
     footprint_gap,
     length_of,
+    line_at,
     make_surroundings,
     offset_from,
     outer_radius,
@@ -338,14 +339,15 @@ def push_from_others(hall: Hall, states: Floats, m: int, robot: Floats, want: Po
     """
     mover = hall.movers[m]
     strength = draw_trait(hall.key, m, 1, limits=STRENGTHS)
+    person = states[m]
     push = np.zeros(2)
     for n in range(len(states)):
         radius = hall.movers[n, RADIUS]
         if n != m and radius > 0.0:
-            push_from(states[n], states[m], push, mover[RADIUS] + radius, want, strength=strength)
+            push_from(states[n], person, push, mover[RADIUS] + radius, want, strength=strength)
     if mover[SEES_ROBOT] > 0.0:
         radii = mover[RADIUS] + outer_radius(hall.around, hall.kind)
-        push_from(robot, states[m], push, radii, want, strength=strength)
+        push_from(robot, person, push, radii, want, strength=strength)
 
     cos = math.cos(SIDESTEP)
     sin = math.sin(SIDESTEP)
@@ -392,9 +394,13 @@ def push_from_walls(hall: Hall, person: Floats, radius: float) -> Floats:
     x = person[X]
     y = person[Y]
     push = np.zeros(2)
-    for circle in hall.around.circles[hall.which]:
-        push_from_wall(push, x - circle[X], y - circle[Y], radius + circle[CIRCLE_RADIUS])
-    for wall in hall.around.segments[hall.which]:
+    circles = hall.around.circles
+    for n in range(circles.shape[1]):
+        dx = x - circles[hall.which, n, X]
+        dy = y - circles[hall.which, n, Y]
+        push_from_wall(push, dx, dy, radius + circles[hall.which, n, CIRCLE_RADIUS])
+    for n in range(hall.around.segments.shape[1]):
+        wall = line_at(hall.around.segments, hall.which, n)
         dx, dy = offset_from(x, y, wall, share_along(x, y, wall))
         push_from_wall(push, dx, dy, radius)
     return push
