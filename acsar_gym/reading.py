@@ -232,13 +232,12 @@ class YamlDumper(yaml.SafeDumper):
         return True
 
 
-def parse_yaml(text: str, error: type[AcsarError] = ConfigError, *, aliases: bool = False) -> Any:
+def parse_yaml(text: str, error: type[AcsarError] = ConfigError) -> Any:
     """Parse a YAML document.
 
     Args:
         text: The document.
         error: Class of the exception.
-        aliases: Whether values may be named with `&` and repeated with `*`, as in merge keys.
 
     Raises:
         AcsarError: As `error`, for invalid YAML, several documents, and too deep nesting.
@@ -252,7 +251,7 @@ def parse_yaml(text: str, error: type[AcsarError] = ConfigError, *, aliases: boo
             line = event.start_mark.line + 1
             if depth > MAX_YAML_DEPTH:
                 raise error(f"line {line}: is nested too deeply")
-            if isinstance(event, yaml.AliasEvent) and not aliases:
+            if isinstance(event, yaml.AliasEvent):
                 raise error(f"line {line}: has an alias (*), which is refused: write the value out")
         return yaml.load(text, Loader=YamlLoader)  # noqa: S506 -- derived from the safe loader
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError) as problem:

@@ -487,15 +487,6 @@ RobotSource = RobotConfig | Mapping[str, Any] | str | Path | None
 
 def hash_config(config: RobotConfig) -> str:
     """Return the SHA-256 of a robot's config in hexadecimal. The order of fields doesn't matter."""
-    return _hash_data(config.model_dump(mode="json"))
-
-
-def hash_calibration(config: RobotConfig) -> str | None:
-    """Return the SHA-256 of a robot's measured intervals, None if it has none."""
-    measured = config.model_dump(mode="json")["measured"]
-    return _hash_data(measured) if measured else None
-
-
-def _hash_data(data: Any) -> str:
+    data = config.model_dump(mode="json")
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()

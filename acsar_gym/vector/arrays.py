@@ -25,7 +25,7 @@ from acsar_gym.tasks.task import Task
 from acsar_gym.vector.kernel import layout
 from acsar_gym.worlds import World, geometry
 from acsar_gym.worlds.crowd import STATE_NUMBERS
-from acsar_gym.worlds.movers import make_motions
+from acsar_gym.worlds.movers import make_motions, pad_rows
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import align_with_path
 
@@ -131,7 +131,7 @@ def make_draws(robots: int, kinds: Sequence[Kind]) -> layout.Draws:
         nominal=np.array([compute_physics(kind.config) for kind in kinds]),
         low=np.array([kind.ranges.low for kind in kinds]),
         high=np.array([kind.ranges.high for kind in kinds]),
-        delays=geometry.pad_rows(delays, (0.0,))[:, :, 0],
+        delays=pad_rows(delays, (0.0,))[:, :, 0],
         delay_counts=np.array([len(rows) for rows in delays], np.int64),
         drawn=np.zeros((robots, len(kinds[0].ranges.low) if varies else 0)),
     )
@@ -148,8 +148,8 @@ def make_scans(
         return None
     fleet = [kind.config for kind in kinds]
     around = geometry.surround_kinds(
-        geometry.pad_rows([world.circles for world in worlds], (PADDING_PLACE, PADDING_PLACE, 0.0)),
-        geometry.pad_rows([world.segments for world in worlds], (PADDING_PLACE,) * 4),
+        pad_rows([world.circles for world in worlds], (PADDING_PLACE, PADDING_PLACE, 0.0)),
+        pad_rows([world.segments for world in worlds], (PADDING_PLACE,) * 4),
         [ray_spec(config) if setup.sees else None for config in fleet],
         fleet,
     )
@@ -250,7 +250,7 @@ def make_spawns(task: Task, worlds: Sequence[World], kinds: Sequence[Kind]) -> l
         ),
         goals=np.array([(goal.x, goal.y, goal.radius) for goal in goals], layout.GOAL),
         lengths=np.array([world.length for world in worlds], np.float64),
-        paths=geometry.pad_rows(paths, (0.0, 0.0, 0.0)),
+        paths=pad_rows(paths, (0.0, 0.0, 0.0)),
         samples=np.array([len(samples) for samples in paths], np.int64),
         order=order,
     )

@@ -25,9 +25,8 @@ from acsar_gym.vector.arrays import Kind
 from acsar_gym.vector.kernel import drive, episode, layout, lidars
 from acsar_gym.vector.sensors import BatchSensors, make_batch_sensors
 from acsar_gym.vector.task import TaskLoop
-from acsar_gym.worlds import geometry
 from acsar_gym.worlds.crowd import CLOCK
-from acsar_gym.worlds.movers import RADIUS
+from acsar_gym.worlds.movers import RADIUS, pad_rows
 
 Mask = NDArray[np.bool_]
 Share = Callable[[Callable[[int, int], None], int], None]
@@ -119,7 +118,7 @@ class Batch:
             begins=np.zeros(robots, np.bool_),
             drives=np.zeros(robots, np.bool_),
             ranges=np.zeros((robots, rays)),
-            edges=geometry.pad_rows(edges, (0.0,))[:, :, 0],
+            edges=pad_rows(edges, (0.0,))[:, :, 0],
             observations=np.zeros((robots, numbers + sum(sizes.values())), np.float32),
             rewards=np.zeros(robots),
             terminated=np.zeros(robots, np.bool_),

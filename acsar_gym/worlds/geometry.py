@@ -18,11 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.jit import jit, loop, subroutine
 from acsar_gym.trigonometry import angle_of
-from acsar_gym.worlds import movers
+from acsar_gym.worlds.movers import pad_rows
 from acsar_gym.worlds.world import AX, AY, BX, BY, RADIUS, World, X, Y
 
 Floats = NDArray[np.float64]
-pad_rows = movers.pad_rows
 Point = tuple[float, float]
 Line = Floats | tuple[float, float, float, float]
 """A segment from a to b in columns AX to BY, as row of an array or as tuple [m]."""

@@ -210,7 +210,6 @@ ROWS = {
 }
 """Rows of a field if a block is seen as a matrix of numbers and robots, see `view_numbers`."""
 OPTIONS = tuple(name for name, *_ in _fields(Options))
-BUILD = tuple(name for name, *_ in _fields(Build))
 EPISODE_ROWS = ROWS[OPTIONS[0]].start
 """How many rows an episode has. They are the first ones."""
 PHYSICS_ROW = ROWS["physics"].start
