@@ -13,10 +13,10 @@ from acsar_gym import RobotConfig
 from acsar_gym.links import open_link
 from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.types import WireLog
-from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.excitation import StretchedLink
 from acsar_gym.tools.sysid.identify import Identification, ParameterFinding
+from acsar_gym.tools.sysid.wire_tape import WireTape
 
 ACSAR = RobotConfig.preset("acsar")
 TOLERANCES = {

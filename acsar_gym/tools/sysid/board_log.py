@@ -13,8 +13,8 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
 from acsar_gym.kinematics import compute_sides, compute_twist
 from acsar_gym.protocol import PRINTED_STEP, WHEELS, encode
-from acsar_gym.recording.twin_replay import remove_jitter
 from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid.twin_replay import remove_jitter
 
 Floats = NDArray[np.float64]
 

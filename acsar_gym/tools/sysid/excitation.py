@@ -13,9 +13,9 @@ from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.types import WireLog
-from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.board_log import Floats
+from acsar_gym.tools.sysid.wire_tape import WireTape
 
 FASTEST_STEP = 10.0
 """Largest speed of the steps [rad/s]."""

@@ -18,7 +18,6 @@ from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.links import Link
 from acsar_gym.protocol import MOTORS, PRINTED_STEP, WHEELS
 from acsar_gym.recording import Recorder
-from acsar_gym.recording.pairs import check_same_robot
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid import board_log
@@ -38,6 +37,7 @@ from acsar_gym.tools.sysid.fit import (
     configured_wheel,
     fit_tracks,
 )
+from acsar_gym.tools.sysid.pairs import check_same_robot
 
 IDENTIFY_METHOD = "identify"
 FITS = "fits"

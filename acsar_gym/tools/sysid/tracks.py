@@ -10,10 +10,10 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.odometry import Odometry
-from acsar_gym.recording.twin_replay import replay_commands
 from acsar_gym.recording.types import Episode, Recording, WireLog
 from acsar_gym.tools.evaluation.episode import read_true_poses
 from acsar_gym.tools.sysid.board_log import Floats
+from acsar_gym.tools.sysid.twin_replay import replay_commands
 from acsar_gym.worlds.world import to_odometry
 
 

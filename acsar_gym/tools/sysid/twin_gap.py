@@ -12,18 +12,18 @@ from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording.pairs import check_same_robot, find_difference
-from acsar_gym.recording.twin_replay import remove_jitter
 from acsar_gym.recording.types import Episode, Recording
 from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
 from acsar_gym.tools.evaluation.report import escape_text
 from acsar_gym.tools.sysid.board_log import Floats, resend_twists
+from acsar_gym.tools.sysid.pairs import check_same_robot, find_difference
 from acsar_gym.tools.sysid.tracks import (
     EpisodeTrack,
     interpolate,
     make_recorded_track,
     make_twin_track,
 )
+from acsar_gym.tools.sysid.twin_replay import remove_jitter
 
 TIME_SHIFTS = np.arange(-0.2, 0.2001, 0.001)
 """Time shifts that are tried [s]."""

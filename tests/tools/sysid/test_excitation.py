@@ -10,7 +10,6 @@ from acsar_gym.errors import LinkError
 from acsar_gym.links import Link
 from acsar_gym.links.base import LinkWrapper
 from acsar_gym.recording.recorded import RecordedLink
-from acsar_gym.recording.wire_tape import WireTape
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.board_log import decode_tracks
 from acsar_gym.tools.sysid.excitation import (
@@ -19,6 +18,7 @@ from acsar_gym.tools.sysid.excitation import (
     drive_excitation,
     plan_excitation,
 )
+from acsar_gym.tools.sysid.wire_tape import WireTape
 
 ACSAR = RobotConfig.preset("acsar")
 ZEROS = b"ap00.00,bp00.00,cp00.00,dp00.00"

@@ -16,7 +16,6 @@ from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.physics.randomization import measured_ranges
 from acsar_gym.protocol import encode
 from acsar_gym.recording import Recorder, read
-from acsar_gym.recording.pairs import check_same_robot
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.excitation import drive_excitation, plan_excitation
@@ -28,6 +27,7 @@ from acsar_gym.tools.sysid.identify import (
     identify_files,
     identify_logs,
 )
+from acsar_gym.tools.sysid.pairs import check_same_robot
 
 HIDDEN = ACSAR.with_(
     motor={

@@ -10,8 +10,8 @@ from rollout_tools import HIDDEN, driven, random_steps
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording.twin_replay import remove_jitter, replay_commands
 from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid.twin_replay import remove_jitter, replay_commands
 
 ACSAR = RobotConfig.preset("acsar")
 PERIOD = 0.02
