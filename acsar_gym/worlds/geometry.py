@@ -138,8 +138,13 @@ def surround_kinds(
             ]
         )
 
-    arrays = pad_rows(directions, (0.0, 0.0)), np.array(kinds), pad_rows(sides, [0.0] * 7)
-    return Surroundings(circles, segments, *arrays)
+    return Surroundings(
+        circles,
+        segments,
+        directions=pad_rows(directions, (0.0, 0.0)),
+        kinds=np.array(kinds),
+        sides=pad_rows(sides, [0.0] * (OFFSET + 1)),
+    )
 
 
 def _list_sides(outline: Floats) -> Floats:
