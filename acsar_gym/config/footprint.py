@@ -57,6 +57,7 @@ def validate_outline(corners: Sequence[Point]) -> Outline:
     if not 3 <= len(outline) <= MAX_CORNERS:
         raise ValueError(f"must be 3 to {MAX_CORNERS} corners (x, y)")
 
+    # The sum of turns is a full circle, to the left if corners are counter-clockwise.
     turns = _find_turns(outline)
     if turns.sum() < 0.0:
         outline = outline[::-1]
@@ -140,6 +141,8 @@ def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArra
     for n, (b, d) in enumerate(zip(along, across, strict=True)):
         a = along[n - 1]
         c = across[n - 1]
+
+        # A side is met if its ends are on different sides of the ray.
         met = (c > 0.0) != (d > 0.0)
         reach = a + (b - a) * c / np.where(met, c - d, 1.0)
         reaches = np.where(met, np.maximum(reaches, reach), reaches)

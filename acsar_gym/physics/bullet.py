@@ -125,6 +125,8 @@ class BulletBody(Body):
     def __init__(self, config: RobotConfig, *, window: bool = False) -> None:
         super().__init__(config)
         reach = outline_radius(config.outline)
+
+        # A mover that is farther away can't reach the robot within a tick.
         self._near = reach + MAX_MOVER_SPEED * config.period + NEAR_MARGIN
 
         if window and not has_display():
@@ -156,6 +158,8 @@ class BulletBody(Body):
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         super().reset(scene)
+
+        # Objects of another world can't be removed without a leak: make another simulation.
         if scene.world is not self._obstacles.world:
             self._build(scene.world)
         self._movers.park()
@@ -548,6 +552,8 @@ def group_neighbours(shapes: list[Shape]) -> Iterator[list[Shape]]:
     if len(shapes) > MAX_SHAPES:
         places = np.array([shape.place for shape in shapes])
         axis = int(np.ptp(places[:, Y]) > np.ptp(places[:, X]))
+
+        # Halve along the longer side, so that compounds are compact.
         ordered = sorted(shapes, key=lambda shape: shape.place[axis])
         half = MAX_SHAPES * math.ceil(len(shapes) / MAX_SHAPES / 2)
         yield from group_neighbours(ordered[:half])

@@ -79,6 +79,7 @@ class Firmware:
 
     def receive(self, data: bytes) -> None:
         """Take bytes that the host sends now. They arrive in sequence."""
+        # A UART is a queue: bytes wait until those before them are on the wire.
         start = max(self._receive_free, self._elapsed)
         self._receive_free = start + len(data) * self._byte_time
         self._received.append((self._receive_free + self._reaction, data))
@@ -90,6 +91,8 @@ class Firmware:
         """
         self._elapsed += period
         end = self._elapsed + TIME_EPSILON
+
+        # By counting loops, and not by adding periods, rounding errors don't accumulate.
         while (self._loops + 1) * self._dt <= end:
             self._run_loop(self._loops * self._dt)
 
@@ -107,6 +110,7 @@ class Firmware:
         if self._set_points != self._targets:
             self._set_points = ramp_set_points(self._set_points, self._targets, self._ramps)
 
+        # Motors and tyres move, then the encoders are read.
         self._body.step(self._set_points)
         self._angles.append(self._body.wheel_angles)
         self._loops += 1
@@ -118,6 +122,8 @@ class Firmware:
         """Set the targets from command lines, limited to the top speed."""
         for reading in self.decoder.feed(data):
             self._last_command = now
+
+            # A line may leave out wheels: their targets stay as they are.
             wheels = self._motors.to_wheels(reading.speeds) if self._motors else reading.speeds
             self._targets = ramp_set_points(ZERO, Reading(wheels).over(self._targets), self._top)
 

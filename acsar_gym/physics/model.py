@@ -134,6 +134,8 @@ def compute_physics(config: RobotConfig) -> Physics:
         mass=body.mass,
         yaw_inertia=body.mass * (body.length**2 + body.width**2) / 12.0,
         grip=body.friction * body.mass * GRAVITY / 4.0,
+        # Isotropic friction makes the robot turn slower by 1 + (wheelbase / separation)^2. Another
+        # measured turn factor is explained by tyres with less or more grip to the side.
         kappa=1.0 if factor is None else (factor - 1.0) * across**2,
         slip_speed=body.slip_speed,
         max_speed=config.motor.max_speed,
@@ -157,6 +159,8 @@ def wheel_speed(
     set_point *= gain
     if abs(set_point) < deadband:
         set_point = 0.0
+
+    # A motor saturates after its gain, so a strong motor reaches its top speed earlier.
     set_point = min(max(set_point, -top), top)
     speed += blend * (set_point - speed)
     return 0.0 if set_point == 0.0 and abs(speed) < 1e-3 else speed
@@ -250,6 +254,7 @@ def tyre_step(
         fy = inertia * vy
         fw = yaw_inertia * yaw_rate + b * (d_a * rim_a + d_d * rim_d - d_b * rim_b - d_c * rim_c)
 
+        # The system is an arrow matrix: eliminate nx and ny, solve for nw, substitute back.
         free = 1.0 / k
         nw = (fw - (p * fx + y * q * fy) * free) / (s - (p * p + y * q * q) * free)
         nx = (fx - p * nw) * free
@@ -341,6 +346,8 @@ def push_robot(
 
     push = physics[0].mass / dt
     twist = physics[0].yaw_inertia / dt
+
+    # The force that changes the velocity as the tyres would, in this substep.
     force = (push * (new_vx - vx), push * (new_vy - vy), 0.0)
     return force, (0.0, 0.0, twist * (new_rate - rate)), wheels, angles
 
@@ -363,6 +370,8 @@ def motor_power(cos: float, sin: float, velocity: Velocity, wheels: Speeds, phys
         on_right = wheel in (0, 3)
         in_front = wheel < 2
         rim = wheels[wheel] * (robot.right_radius if on_right else robot.left_radius)
+
+        # The contact patch moves with the body, and the rim moves against it.
         slip = ahead + (rate if on_right else -rate) * robot.half_track - rim
         across = aside + (rate if in_front else -rate) * robot.half_wheelbase
         size = max(math.sqrt(slip * slip + robot.kappa * across * across), robot.slip_speed)

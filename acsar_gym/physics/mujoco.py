@@ -135,6 +135,8 @@ class MujocoBody(Body):
         """Simulate one firmware loop with these set points of the four wheel speeds [rad/s]."""
         data = self._data
         self._motors = model.turn_wheels(self._motors, set_points, self._physics)
+
+        # Two actuators a wheel: the proportional and the integral part of its controller.
         data.ctrl[0::2] = data.ctrl[1::2] = self._motors
         mujoco.mj_step(self._model, data, self._substeps)
         a, b, c, d = data.qvel[self._rates].tolist()
@@ -260,6 +262,7 @@ def make_robot(config: RobotConfig, physics: Physics) -> Any:
         rgba=GOAL_PAINT,
     )
 
+    # Scale the URDF's masses, so that they add up to the robot's mass.
     heavier = physics.mass / sum(body.mass for body in spec.bodies)
     chassis = Chassis.of(config)
     set_chassis(spec, config, chassis, heavier)

@@ -487,10 +487,13 @@ def draw_robot(
     for k in range(len(drawn)):
         if high[k] > low[k]:
             drawn[k] = low[k] + (high[k] - low[k]) * samples[k]
+
+    # The info of an episode reports what is applied: whole firmware loops, and a delay of the list.
     drawn[LATENCY] = np.rint(drawn[LATENCY] / dt) * dt
     drawn[FEEDBACK_RATE] = 1.0 / (loops_between(drawn[FEEDBACK_RATE], dt) * dt)
     drawn[DELAY] = delays[min(int(drawn[DELAY] * len(delays)), len(delays) - 1)]
 
+    # In the table's order, because several parameters may change the same number.
     ratio = (nominal[HALF_WHEELBASE] / nominal[HALF_TRACK]) ** 2
     numbers = nominal.copy()
     for place, field, rule in zip(CHANGES[0], CHANGES[1], CHANGES[2]):  # noqa: B905 - for numba
@@ -541,6 +544,8 @@ class Randomizer:
             return None
         varies = self._ranges.high > self._ranges.low
         samples = np.zeros(len(varies))
+
+        # Parameters that don't vary use no random numbers, so that adding one keeps existing seeds.
         samples[varies] = rng.random(int(varies.sum()))
         physics, self._drawn = draw_robot(self._nominal, *self._ranges, samples, self._dt)
         return physics

@@ -187,6 +187,7 @@ def _choose_ends(
 
 def _is_barn(circles: Floats) -> bool:
     """Whether circles are those of a BARN world: its corridor's cylinders are there."""
+    # Published files round their numbers, so places are compared within a quarter of a cell.
     corridor = place_cylinders(np.zeros((0, 0), np.bool_))
     cylinders = circles[np.isclose(circles[:, 2], CYLINDER_RADIUS)]
     distances = np.abs(cylinders[:, None, :2] - corridor[:, :2]).max(axis=2)

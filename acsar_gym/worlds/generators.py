@@ -207,6 +207,8 @@ def make_smooth_path(rng: Rng, difficulty: float, radius: float) -> World:
     phases = rng.uniform(-math.pi, math.pi, waves)
     curvature = np.sin(s[:, None] * frequencies + phases).sum(axis=1)
     curvature *= (0.5 + 1.5 * difficulty) / np.abs(curvature).max()
+
+    # Integrate the curvature, starting in the direction of x.
     headings = np.concatenate([[0.0], np.cumsum(curvature[:-1] * PATH_SPACING)])
     return _follow_steps(headings, np.full(len(headings), PATH_SPACING))
 
@@ -344,6 +346,7 @@ def make_barn(rng: Rng, difficulty: float, radius: float) -> World:
 
 def _cross_field(rng: Rng, cells: Mask, room: Mask) -> World:
     """The world of a field, with a path through the cells in which the robot's centre may be."""
+    # From any free cell of the first column to any of the last, as the published paths are.
     first = int(rng.choice(np.flatnonzero(room[:, 0])))
     last = int(rng.choice(np.flatnonzero(room[:, -1])))
     grid = Grid(room, *BARN_FIELD, BARN_CELL_SIDE)
@@ -359,6 +362,7 @@ def draw_fields(rng: Rng, fill: float, passes: int, count: int = FIELDS_AT_ONCE)
     cells = rng.random((count, BARN_CELLS, BARN_CELLS)) < fill
     cells[:, [0, -1]] = True
     for _ in range(passes):
+        # Cells outside of the field are free. Count the eight neighbours of each cell.
         padded = np.pad(cells.astype(np.int8), ((0, 0), (1, 1), (1, 1)))
         rows = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
         around = rows[:, :, :-2] + rows[:, :, 1:-1] + rows[:, :, 2:] - cells

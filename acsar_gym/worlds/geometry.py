@@ -151,6 +151,8 @@ def _list_sides(outline: Floats) -> Floats:
     """The sides of a convex outline, (sides, 7), see `NORMAL_X`."""
     ends = np.roll(outline, -1, axis=0)
     along = ends - outline
+
+    # Corners are counter-clockwise: a quarter of a turn to the right is outwards.
     normals = along[:, [Y, X]] * (1.0, -1.0) / np.hypot(*along.T)[:, None]
     return np.column_stack([outline, ends, normals, (normals * outline).sum(axis=1)])
 
@@ -210,6 +212,7 @@ def offset_from(x: float, y: float, line: Line, share: float) -> Point:
 @jit
 def distance_between(a: Line, b: Line) -> float:
     """Distance of two segments, which are nearest at one of their ends if they don't cross [m]."""
+    # They cross if each has its ends on different sides of the other.
     if side_of(a, b[AX], b[AY]) * side_of(a, b[BX], b[BY]) < 0.0 and (
         side_of(b, a[AX], a[AY]) * side_of(b, a[BX], a[BY]) < 0.0
     ):
@@ -289,6 +292,8 @@ def see_segment(ranges: Floats, line: Line, origins: Floats, margin: float, fan:
     directions = fan.directions
 
     extra = widest_angle(margin, distance) * fan.density
+
+    # The rays between both ends, as the shorter arc, widened by the origins' margin.
     end = (angle_of(ax, ay) - fan.start) * fan.density
     width = angle_of(ax * bx + ay * by, ax * by - ay * bx) * fan.density
     first = min(end, end + width) - extra
@@ -341,6 +346,8 @@ def cast_lines(  # noqa: PLR0913, PLR0917 - a tuple of the pose would be built f
         density=1.0 / robot[RAY_STEP],
         reach=robot[REACH],
     )
+
+    # From the base to the LiDAR, in which all that follows is measured.
     x += cos * robot[MOUNT_X] - sin * robot[MOUNT_Y]
     y += sin * robot[MOUNT_X] + cos * robot[MOUNT_Y]
     margin = 0.0
@@ -391,6 +398,7 @@ def measure_ranges(
     start = np.stack(np.broadcast_arrays(*place, bearings), axis=1)[:, None, :2]
     ray = np.column_stack([np.cos(bearings), np.sin(bearings)])[:, None]
 
+    # Each ray has its own centres, because movers move during a revolution.
     centres = np.tile(world.circles[:, :RADIUS], (len(bearings), 1, 1))
     radii = world.circles[:, RADIUS]
     if moved is not None:

@@ -83,6 +83,8 @@ def map_segments(picture: bytes, config: MapSettings) -> Floats:
     x, y, yaw = config.origin
     cos = math.cos(yaw)
     sin = math.sin(yaw)
+
+    # `origin` turns the picture around its lower left corner and then moves it.
     turned = lines.reshape(-1, 2) @ np.array([[cos, sin], [-sin, cos]])
     moved: Floats = (turned + np.array([x, y])).reshape(-1, 4)
     return moved
@@ -103,6 +105,8 @@ def trace_outlines(mask: Mask) -> Floats:
     Returns (segments, 4) in pixels from the lower left corner. More than 20,000 raise WorldError.
     """
     filled = np.pad(mask[::-1], 1).astype(np.int8)  # from now on the first row is the lowest
+
+    # An edge is where neighbours differ. Edges in a row become one segment.
     level, first, last = _find_runs(np.diff(filled, axis=0)[:, 1:-1] != 0)
     upright, low, high = _find_runs(np.diff(filled, axis=1)[1:-1].T != 0)
     rows = np.column_stack([first, level, last, level])
@@ -148,5 +152,7 @@ def _read_levels(picture: bytes) -> tuple[NDArray[Any], Floats, Mask]:
     except Exception as error:  # Pillow raises all kinds for broken pictures
         raise WorldError("isn't a sound PGM, PNG, BMP or JPEG picture: save it again") from error
 
+    # The sum of three channels is a level, because a table of 766 levels is faster than
+    # comparing floats of each pixel.
     levels = pixels[:, :, :3].sum(axis=2, dtype=np.uint16)
     return levels, np.arange(766) / 3.0 / 255.0, pixels[:, :, 3] == 255

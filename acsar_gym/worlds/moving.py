@@ -143,6 +143,7 @@ def _make_hall(rng: Rng, difficulty: float, radius: float, reacting: float) -> W
     pillars, boxes = _draw_furniture(rng, hall)
     world = World(pillars, np.concatenate([hall.walls, *boxes]), start, Region(*ends[1]))
 
+    # As many people a square metre as the difficulty asks for, within limits.
     area = sum((max_x - min_x) * (max_y - min_y) for min_x, min_y, max_x, max_y in hall.floors)
     count = round(area * blend(DENSITIES, difficulty))
     count = min(max(count, WALKER_COUNTS[0]), WALKER_COUNTS[1])
@@ -153,6 +154,8 @@ def _make_hall(rng: Rng, difficulty: float, radius: float, reacting: float) -> W
         mover = draw_walker(rng, world, hall.areas, difficulty, radius, taken=taken)
         if taken is not None:
             taken += list_starts(mover)
+
+        # Both numbers are always drawn, so that a hall without people who react is the same.
         reacts = bool(rng.random() < reacting)
         sees_robot = bool(rng.random() >= blind)
         movers.append(replace(mover, reacts=reacts, sees_robot=sees_robot or not reacts))
@@ -213,6 +216,8 @@ def draw_doors(rng: Rng, radius: float) -> HallLayout:
     walls = [make_rectangle(0.0, 0.0, end, height)]
     for x in edges[1:-1]:
         width = max(rng.uniform(1.0, 1.5), 2.0 * radius + 0.5)
+
+        # A second door only if both fit into their halves of the wall.
         space = height / 2.0 - width
         doors = [rng.uniform(0.3, space)] if space > 0.4 else []
         doors.append(rng.uniform(height / 2.0, height - 0.3 - width))
@@ -310,6 +315,7 @@ def draw_walker(
         if min(map(path_length, ways)) < SHORTEST_WAY:
             continue
 
+        # Pause at the stops, and walk past the corners between them.
         points = np.concatenate([*(way[:-1] for way in ways), ways[-1][-1:]])
         pauses = np.zeros(len(points))
         pauses[np.cumsum([0, *(len(way) - 1 for way in ways)])] = rng.uniform(0.0, LONGEST_PAUSE)
@@ -317,6 +323,8 @@ def draw_walker(
             mover = walk(points[:-1], speed, pauses=pauses[:-1].tolist(), repeat=Repeat.LOOP)
         else:
             mover = walk(points, speed, pauses=pauses.tolist(), repeat=Repeat.BACK)
+
+        # Where the walker is when an episode starts: away from the robot and from others.
         for _ in range(1 if taken is None else PHASE_DRAWS):
             phase = rng.uniform(0.0, mover.cycle)
             mover = replace(mover, phase=phase, spread=spread)
@@ -331,6 +339,8 @@ def _draw_stop(rng: Rng, world: World, area: Box) -> Region:
     """A place of an area in which a walker can stand. Raises WorldError if none was found."""
     clear = PERSON_RADIUS + WALKER_MARGIN
     places = [_draw_point(rng, area, clear) for _ in range(POINT_DRAWS)]
+
+    # Always the same number of draws, so that a pillar more doesn't change what follows.
     free = np.flatnonzero(point_clearance(places, world) >= clear)
     if not len(free):
         raise WorldError("is too crowded for one more walker")
@@ -387,11 +397,14 @@ def draw_cylinder(rng: Rng, difficulty: float, radius: float) -> Mover:
         if min(math.dist(keys[0], end) for end in ends) < JUMP_DISTANCE or len(keys) < 3:
             continue
 
+        # Each piece of the way has its own speed, in steps of 0.1 m/s.
         speeds = np.clip(rng.normal(mean, deviation, len(keys) - 1), DYNABARN_SLOWEST, fastest)
         lengths = np.hypot(*np.diff(keys, axis=0).T)
         times = np.concatenate([[0.0], np.cumsum(lengths / np.round(speeds, 1))])
         duration = float(times[-1])
         mover = follow_keys(times, keys, smooth=True, radius=DYNABARN_RADIUS, spread=duration)
+
+        # Splines overshoot between their points: draw again if one is much too fast.
         distance = START_DISTANCE + radius + DYNABARN_START.radius + mover.radius
         if mover.top_speed <= OVERSHOOT * fastest and starts_away(mover, ends[:1], distance):
             return mover
@@ -406,11 +419,15 @@ def draw_polynomial(rng: Rng, order: int) -> Floats:
     half = int(DYNABARN_HALF)
     at = rng.choice(np.arange(-half, half + 1), order + 1, replace=False)
     curve = np.polynomial.Polynomial.fit(at, rng.integers(-half, half + 1, order + 1), order)
+
+    # The curve ends where it leaves the field, so these points are among its keys.
     crossings = np.concatenate([(curve - half).roots(), (curve + half).roots()])
     crossings = crossings.real[(np.abs(crossings.imag) < 1e-9) & (np.abs(crossings.real) < half)]
     xs = np.unique(np.concatenate([np.linspace(-half, half, 10), at, crossings]))
     points = np.column_stack([xs, curve(xs)])
     points = points[np.abs(points[:, 1]) <= half + 1e-6]
+
+    # Leave out points that are close together: a spline through them would swing.
     kept = [points[0]]
     for point in points[1:-1]:
         if min(math.dist(point, kept[-1]), math.dist(point, points[-1])) >= KEY_SPACING:

@@ -75,6 +75,7 @@ class Pool:
         return (self._make(group, number) for group in self.sets for number in group.numbers)
 
     def __getitem__(self, key: Key) -> World:
+        # A number means a world of a single set, a name one of several sets.
         title = f"{self.sets[0].kind} {key}" if len(self.sets) == 1 else str(key)
         kind, _, digits = title.rpartition(" ")
         for group in self.sets:

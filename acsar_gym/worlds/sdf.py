@@ -102,6 +102,8 @@ def _check_elements(world: Element) -> None:
 def _list_bodies(model: Element, state: Element | None) -> Iterator[tuple[Element, Floats]]:
     """The shapes of a model, and their frames in the world."""
     is_saved = state is not None and state.find("pose") is not None
+
+    # A saved simulation has moved its models: their state has the pose.
     frame = _read_frame(state if state is not None and is_saved else model)
     for link in model.iterfind("link"):
         for body in link.iterfind("collision"):
@@ -122,6 +124,7 @@ def _outline(shape: Element, frame: Floats, top: float) -> Floats:
 
     x, y, z = frame[:3, 3].tolist()
     if kind == "box":
+        # The turned rectangle, seen from above.
         size = np.array(_read_numbers(shape, "size", 3, least=0.0))
         half = size[2] / 2.0
         corners = CORNER_SIGNS * size[:2] / 2.0 @ frame[:2, :2].T + frame[:2, 3]

@@ -92,6 +92,8 @@ def shortest_path(
         raise WorldError(
             f"{_prefix(world)}no way from start to goal for a footprint of radius {radius:.2f} m"
         )
+
+    # From both ends, because points are only removed ahead of the last corner that stays.
     path = _straighten(_straighten(path, world, radius)[::-1], world, radius)[::-1]
     for _ in range(cuts):
         path = _straighten(_cut_corners(path, world, radius), world, radius)
@@ -181,6 +183,8 @@ def _entry_cell(grid: Grid, end: Floats, world: World, radius: float) -> int:
     cells = np.flatnonzero(near & grid.free)
 
     centres = grid.centres(cells)
+
+    # Cells are coarse: only those in sight of the end count as its neighbours.
     clear = segment_clearance(np.broadcast_to(end, centres.shape), centres, world)
     reachable = clear >= radius - PATH_SLACK
     if not reachable.any():
@@ -197,6 +201,7 @@ def _cut_corners(path: Floats, world: World, radius: float) -> Floats:
     behind = path[2:] - corners
     share = np.zeros((len(corners), 1))
     for step in 0.25 * 0.5 ** np.arange(CUT_BISECTIONS):
+        # Each corner keeps the largest cut that is free, found by halving the step.
         starts = corners + (share + step) * ahead
         ends = corners + (share + step) * behind
         share[segment_clearance(starts, ends, world) >= radius - PATH_SLACK / 2.0] += step

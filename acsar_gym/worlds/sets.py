@@ -76,6 +76,7 @@ class WorldSet:
             )
         path = str(source.get("path", "") if isinstance(source, Mapping) else source)
 
+        # A generator's name wins over a file or folder of the same name.
         name = None if isinstance(source, Path) else registry.parse_known_name(path)
         if name is None:
             worlds = _read_files(source, height)

@@ -182,6 +182,8 @@ def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Float
         doors: (gaps, 2): where each gap starts and ends, as distances from `start` [m], sorted.
     """
     length = math.dist(start, end)
+
+    # The wall is what remains between the ends of doors: pairs of numbers along it.
     edges = np.clip(np.concatenate([[0.0], np.ravel(doors), [length]]), 0.0, length)
     pieces = edges.reshape(-1, 2)
     pieces = pieces[pieces[:, 1] > pieces[:, 0]]

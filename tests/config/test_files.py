@@ -75,6 +75,7 @@ def test_a_saved_robot_is_loaded_back_equal(name: str, tmp_path: Path) -> None:
 def test_a_file_has_the_geometry_and_what_was_changed(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     RobotConfig.preset("acsar").with_(motor={"gain": 1.1}).save(path)
+
     assert "\nwheel_radius: 0.05\n" in path.read_text("utf-8")
     content = yaml.safe_load(path.read_text("utf-8"))
     assert content["motor"] == {"gain": 1.1}

@@ -68,11 +68,13 @@ def test_a_robots_file_has_it(tmp_path: Path) -> None:
     assert footprint_radius(config) == outline_radius(WEDGE)
     assert RobotConfig.of(config.model_dump(mode="json")) == config
     assert config.with_(wheelbase=0.2).footprint == WEDGE
+
     (tmp_path / "wedge.urdf").write_text(
         "<robot><ros2_control><hardware>"
         f'<param name="footprint">{lists}</param></hardware></ros2_control></robot>'
     )
     assert RobotConfig.load(tmp_path / "wedge.urdf").footprint == WEDGE
+
     (tmp_path / "wedge.yaml").write_text("footprint: [[0.1, 0.0], [0.2, 0.1]]\n")
     with pytest.raises(ConfigError, match=r"wedge\.yaml: footprint = .*: must be 3 to 100 corners"):
         RobotConfig.load(tmp_path / "wedge.yaml")

@@ -107,7 +107,7 @@ def test_a_controllers_file_is_a_robot(write: Write) -> None:
 
 
 def test_limits_frames_and_time_out_are_the_controllers(write: Write) -> None:
-    text = drive(
+    lines = [
         "odom_frame_id: wheels",
         "cmd_vel_timeout: 0.25",
         "left_wheel_radius_multiplier: 1.02",
@@ -120,8 +120,9 @@ def test_limits_frames_and_time_out_are_the_controllers(write: Write) -> None:
         "angular.z.max_velocity: 3.0",
         "angular.z.max_acceleration: 4.0",
         "angular.z.max_jerk: 0.0",
-    )
-    config = RobotConfig.of(write("controllers.yaml", text))
+    ]
+
+    config = RobotConfig.of(write("controllers.yaml", drive(*lines)))
     assert config.odom_frame == "wheels"
     assert config.firmware.command_timeout == 0.25
     assert config.left_wheel_radius_multiplier == 1.02
@@ -129,6 +130,7 @@ def test_limits_frames_and_time_out_are_the_controllers(write: Write) -> None:
     assert limits == {"min_velocity": -0.4, "max_deceleration": -2.5}
     assert config.max_angular == 3.0
     assert config.angular_limits.model_dump(exclude_none=True) == {}
+
     mine = Path(write("mine.yaml", ""))
     config.save(mine)
     assert RobotConfig.load(mine) == config
@@ -149,6 +151,7 @@ def test_a_robot_that_cant_be_simulated_is_left_to_ros(
     with pytest.raises(ConfigError, match=reason) as caught:
         open_link("planar", config)
     assert str(caught.value).isprintable()
+
     with pytest.raises(ConfigError, match=reason):
         make_body("planar", config)
     with pytest.raises(ConfigError, match=reason):

@@ -84,8 +84,10 @@ def test_bad_values_are_one_error_that_names_the_field(values: dict[str, Any], n
 
 @pytest.mark.parametrize("field", ["gain", "acceleration", "time_constant", "deadband"])
 def test_motor_values_are_one_number_or_four(field: str) -> None:
-    one, four = RobotConfig(motor={field: 2}), RobotConfig(motor={field: [1, "2", 3.0, 4]})
-    assert [getattr(one.motor.of_wheel(wheel), field) for wheel in range(4)] == [2.0] * 4
+    equal = RobotConfig(motor={field: 2})
+    assert [getattr(equal.motor.of_wheel(wheel), field) for wheel in range(4)] == [2.0] * 4
+
+    four = RobotConfig(motor={field: [1, "2", 3.0, 4]})
     assert [getattr(four.motor.of_wheel(wheel), field) for wheel in range(4)] == [1, 2, 3, 4]
     assert getattr(four.motor, field) == (1.0, 2.0, 3.0, 4.0)
     assert RobotConfig(**four.model_dump(mode="json")) == four
@@ -104,8 +106,8 @@ JOINTS = {
 
 @pytest.mark.parametrize("kind", JOINTS)
 def test_joints_in_ros_are_named_in_three_ways(kind: str, tmp_path: Path) -> None:
-    given, expected = JOINTS[kind]
-    config = RobotConfig(ros2={"joints": given, "command_joints": sorted({*expected})})
+    joints, expected = JOINTS[kind]
+    config = RobotConfig(ros2={"joints": joints, "command_joints": sorted({*expected})})
     assert config.ros_joints == expected
     assert config.has_two_wheels == (kind == "sides")
     if kind == "sides":
@@ -113,6 +115,7 @@ def test_joints_in_ros_are_named_in_three_ways(kind: str, tmp_path: Path) -> Non
             config.check_simulated()
     else:
         config.check_simulated()
+
     assert RobotConfig(**config.model_dump(mode="json")) == config
     assert len({config, config.with_(ros2={"command_joints": None})}) == 2
     file = tmp_path / "mine.yaml"
@@ -157,13 +160,10 @@ LINES_PER_SECOND = [(9600, 28), (115200, 338)]
 @pytest.mark.parametrize("name", ["control_rate", "firmware.feedback_rate"])
 def test_lines_must_fit_the_baud_rate(name: str, baud: int, lines: int) -> None:
     def at(rate: int) -> dict[str, Any]:
-        own, other = {"loop_rate": rate}, {"loop_rate": rate, "feedback_rate": rate}
-        commands = name == "control_rate"
-        return {
-            "baud_rate": baud,
-            "control_rate": rate if commands else 1,
-            "firmware": own if commands else other,
-        }
+        if name == "control_rate":
+            return {"baud_rate": baud, "control_rate": rate, "firmware": {"loop_rate": rate}}
+        firmware = {"loop_rate": rate, "feedback_rate": rate}
+        return {"baud_rate": baud, "control_rate": 1, "firmware": firmware}
 
     assert RobotConfig(**at(lines)).feedback_rate == lines
     message = refusal(RobotConfig, at(lines + 1))
@@ -176,9 +176,9 @@ def test_an_interval_for_all_wheels_ends_those_of_single_ones_and_the_reverse() 
     single = {"motor.gain.a": old, "motor.gain.c": old, "motor.deadband.a": old}
     every = {"motor.gain": new, "motor.deadband.a": old}
     assert update_measured(single, {"motor.gain": new}) == every
-    rest = {f"motor.gain.{wheel}": new for wheel in "abd"}
-    found = {"motor.gain.c": old, **rest, "motor.deadband.a": old}
-    assert update_measured(every, {"motor.gain.c": old}) == found
+    others_new = {f"motor.gain.{wheel}": new for wheel in "abd"}
+    expected = {"motor.gain.c": old, **others_new, "motor.deadband.a": old}
+    assert update_measured(every, {"motor.gain.c": old}) == expected
 
 
 MIXED = {

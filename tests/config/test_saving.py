@@ -95,6 +95,7 @@ def test_differing_values_are_changed_and_the_rest_stays(
     path.write_text(text)
     config = changed(RobotConfig.load(path), CHANGES[name])
     config.save(path)
+
     assert RobotConfig.load(path) == config
     if name == "nothing":
         assert path.read_text() == text

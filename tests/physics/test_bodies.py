@@ -73,8 +73,9 @@ def test_steady_turns_are_the_closed_form_at_every_heading(name: str) -> None:
     body = make_body(name, config.with_(body={"turn_factor": 1.6}))
     for eighth in range(8):
         body.reset(Scene(start=(1.0, -2.0, math.pi / 4 * eighth + 0.1)))
-        right, left, _, _ = set_points = TURNS[eighth % 3]
-        expected = 0.05 * (right * 1.02 - left * 0.96) / 0.3 / 1.6
+        set_points = TURNS[eighth % 3]
+        rim_speeds = (set_points[0] * 1.02, set_points[1] * 0.96)  # right, left
+        expected = 0.05 * (rim_speeds[0] - rim_speeds[1]) / 0.3 / 1.6
         assert mean_yaw_rate(body, set_points) == pytest.approx(expected, rel=0.01)
     body.close()
 

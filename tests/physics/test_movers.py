@@ -37,7 +37,8 @@ def link_in(name: str, scene: Scene, config: RobotConfig = ACSAR) -> SimulatedLi
 
 def watch(link: SimulatedLink, ticks: int, period: float = ACSAR.period) -> tuple[Floats, Floats]:
     """Poses of the robot and states of the movers after each tick."""
-    poses, states = [], []
+    poses = []
+    states = []
     for _ in range(ticks):
         link.advance(period)
         assert link.truth.crowd is not None
@@ -141,7 +142,8 @@ def test_pictures_show_movers_where_they_are(name: str) -> None:
         violet = (red > 1.5 * green) & (blue > 1.1 * red)
         counts.append([violet[:, side].sum() for side in (slice(48), slice(48, 96))])
         watch(link, 65)
-    (left, right), (later_left, later_right) = counts
-    assert left < right > 100
-    assert later_right < later_left > 100
+
+    before_crossing, after_crossing = counts  # pixels on the left and on the right
+    assert before_crossing[0] < before_crossing[1] > 100
+    assert after_crossing[1] < after_crossing[0] > 100
     link.close()

@@ -84,8 +84,8 @@ def test_odometry_is_seen_only_where_it_differs(config: RobotConfig, top: TopVie
     assert top.draw(replace(FRAME, odom=barely, truth=pose)).tobytes() == alone.tobytes()
     odom = (1.5, 0.5, 0.9)
     image = top.draw(replace(FRAME, odom=odom, truth=pose))
-    length, width = config.body.length / 2.0, config.body.width / 2.0
-    edges = np.array([[length, 0.0], [-length, 0.0], [0.0, width], [0.0, -width]])
+    ends = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    edges = ends * (config.body.length / 2.0, config.body.width / 2.0)
     for x, y in place_points(edges, odom):
         assert near(image, top.view, (x, y), ODOM_COLOUR)
         assert not near(alone, top.view, (x, y), ODOM_COLOUR)

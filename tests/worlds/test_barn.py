@@ -63,6 +63,7 @@ def test_laid_out_as_the_published_ones(worlds: list[World]) -> None:
     expected = {(-4.425 + 0.15 * k, 0.075) for k in range(30)}
     expected |= {(x, 0.225 + 0.15 * k) for x in (-4.425, -0.075) for k in range(33)}
     corridor = np.array(sorted(expected))
+
     for world in worlds:
         assert world.start == Region(-2.0, 3.0, 0.0, math.pi / 2.0)
         assert world.goal == Region(-2.0, 13.0)
@@ -71,6 +72,7 @@ def test_laid_out_as_the_published_ones(worlds: list[World]) -> None:
         assert len(behind) == CORRIDOR
         order = np.lexsort(np.rint(behind.T[::-1] * 1e3))
         assert behind[order] == pytest.approx(corridor, abs=1e-9)
+
         field = field_of(world)
         assert field[[0, -1]].all()
         assert np.ptp(centres[:, 0]) == pytest.approx(4.35)
@@ -84,7 +86,7 @@ def test_the_published_worlds_might_be_ours(worlds: list[World]) -> None:
         field = field_of(world)
         made = generators.place_cylinders(field)
         assert len(made) == len(world.circles)
-        both = [rows[np.lexsort(np.rint(rows.T * 1e3))] for rows in (made, world.circles)]
-        assert both[0] == pytest.approx(both[1], abs=1e-6)
+        ordered = [rows[np.lexsort(np.rint(rows.T * 1e3))] for rows in (made, world.circles)]
+        assert ordered[0] == pytest.approx(ordered[1], abs=1e-6)
         assert made[:CORRIDOR] == pytest.approx(ours[:CORRIDOR])
         assert len(list(generators.find_crossable(field[None]))) == 1

@@ -233,8 +233,11 @@ def drive_anywhere(rng: np.random.Generator, ticks: int) -> Iterator[RobotMotion
             forward = float(rng.uniform(-1, 1) * TOP_SPEED * rng.integers(0, 2))
             rate = float(rng.uniform(-1, 1) * (TOP_SPEED - abs(forward)) / outer)
         theta += rate * PERIOD
-        x, y = x + forward * PERIOD * math.cos(theta), y + forward * PERIOD * math.sin(theta)
-        yield RobotMotion(x, y, math.cos(theta), math.sin(theta), forward, rate)
+        cos = math.cos(theta)
+        sin = math.sin(theta)
+        x += forward * PERIOD * cos
+        y += forward * PERIOD * sin
+        yield RobotMotion(x, y, cos=cos, sin=sin, forward=forward, rate=rate)
 
 
 def draw_movers(rng: np.random.Generator) -> list[Mover]:
@@ -250,6 +253,7 @@ def draw_movers(rng: np.random.Generator) -> list[Mover]:
         )
         for repeat in Repeat
     ]
+
     jumper = follow_keys([0.0, 2.5], rng.uniform(-4, 4, (2, 2)), spread=1.0)
     spline = follow_keys([0, 2, 4], rng.uniform(-4, 4, (3, 2)), smooth=True, spread=1.0)
     return [*walkers, walk([rng.uniform(-2, 2, 2)]), jumper, spline]
@@ -266,6 +270,7 @@ def test_looking_seldom_sees_the_same(config: RobotConfig) -> None:
         begin_crowd(hall, seldom)
         begin_crowd(hall, always)
         next_look = 0.0
+
         for tick, robot in enumerate(drive_anywhere(rng, 600), 1):
             expected = advance_crowd(hall, always, tick, robot, np.inf)[:2]
             result = (NO_HIT, 0.0)
@@ -274,11 +279,13 @@ def test_looking_seldom_sees_the_same(config: RobotConfig) -> None:
                 hit, entered, next_look = advance_crowd(hall, seldom, tick, robot, TOP_SPEED)
                 result = (hit, entered)
                 looks += int((seldom[:, LOOK] > scheduled).sum())
+
             assert result == expected
             contacts += sum(expected)
             if tick % 100 == 0:
                 place_crowd(hall, seldom, tick * PERIOD)
                 assert np.array_equal(seldom[:, :NEAR], always[:, :NEAR])
         calls += 600 * len(seldom)
+
     assert contacts > 5.0
     assert looks < 0.3 * calls

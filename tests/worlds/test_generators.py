@@ -45,22 +45,22 @@ def digests() -> list[str]:
 def test_numbers_are_the_same_worlds_in_every_process() -> None:
     np.random.seed(7)  # noqa: NPY002 - what nobody should use
     folders = Path(__file__).parent, Path(__file__).parents[1]
-    there = subprocess.run(
+    elsewhere = subprocess.run(
         [sys.executable, "-c", "import test_generators; print(*test_generators.digests())"],
         env={**os.environ, "PYTHONHASHSEED": "1234", "PYTHONPATH": ":".join(map(str, folders))},
         capture_output=True,
         text=True,
         check=True,
     )
-    assert there.stdout.split() == digests()
+    assert elsewhere.stdout.split() == digests()
 
 
 def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[float] = []
+    levels_tried: list[float] = []
 
     def picky(rng: np.random.Generator, difficulty: float, radius: float) -> World:
-        asked.append(difficulty)
-        if len(asked) < 40:
+        levels_tried.append(difficulty)
+        if len(levels_tried) < 40:
             raise WorldError("can't be crossed")
         return generators.make_open_floor(rng, difficulty, radius)
 
@@ -69,8 +69,8 @@ def test_a_range_of_difficulty_varies_it_within(monkeypatch: pytest.MonkeyPatch)
     assert 0.35 < max(levels) <= 0.4
     monkeypatch.setitem(generators.MAKERS, "open", picky)
     generate_world("open", 7, (0.2, 0.4))
-    assert asked[0] == levels[7]
-    assert min(asked) == asked[-1] == 0.2  # made easier, but not too easy
+    assert levels_tried[0] == levels[7]
+    assert min(levels_tried) == levels_tried[-1] == 0.2  # made easier, but not too easy
 
 
 @samples(8, 40)

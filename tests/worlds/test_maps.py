@@ -22,7 +22,9 @@ from acsar_gym.worlds.world import Region, World
 
 SETTINGS: dict[str, Any] = {"image": "map.pgm", "resolution": 0.5, "origin": [0.0, 0.0, 0.0]}
 ENDS = {"start": {"x": 0.0, "y": 0.0, "theta": 0.0}, "goal": {"x": 3.0, "y": 1.0}}
-BLACK, GREY, WHITE = 0, 205, 254
+BLACK = 0
+GREY = 205
+WHITE = 254
 
 
 def pgm(rows: Any) -> bytes:
@@ -41,8 +43,8 @@ def write(folder: Path, data: bytes, image: str = "map.pgm", **changes: Any) -> 
     (folder / image).write_bytes(data)
     path = folder / "map.yaml"
     fields = {**SETTINGS, "image": image, **ENDS, **changes}
-    given = {key: value for key, value in fields.items() if value is not None}
-    path.write_text(yaml.safe_dump(given), encoding="utf-8")
+    written = {key: value for key, value in fields.items() if value is not None}
+    path.write_text(yaml.safe_dump(written), encoding="utf-8")
     return path
 
 
@@ -78,16 +80,17 @@ def test_the_origin_moves_and_turns_the_map(tmp_path: Path) -> None:
 
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=8)))
 def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
-    found: list[tuple[int, ...]] = []
+    edges: list[tuple[int, ...]] = []
     for x1, y1, x2, y2 in trace_outlines(mask).astype(int).tolist():
         steps = x2 - x1 + y2 - y1
-        dx, dy = int(x2 > x1), int(y2 > y1)
-        found += [(x1 + k * dx, y1 + k * dy, dx, dy) for k in range(steps)]
+        dx = int(x2 > x1)
+        dy = int(y2 > y1)
+        edges += [(x1 + k * dx, y1 + k * dy, dx, dy) for k in range(steps)]
     filled = np.pad(mask[::-1], 1).astype(int)
     expected = {(x - 1, y, 1, 0) for y, x in np.argwhere(np.diff(filled, axis=0))}
     expected |= {(x, y - 1, 0, 1) for y, x in np.argwhere(np.diff(filled, axis=1))}
-    assert len(found) == len(set(found))  # each edge once
-    assert set(found) == expected
+    assert len(edges) == len(set(edges))  # each edge once
+    assert set(edges) == expected
 
 
 @pytest.mark.parametrize(
@@ -141,8 +144,8 @@ def test_every_kind_of_picture_is_read(data: bytes, tmp_path: Path) -> None:
 def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     path = write(tmp_path, pgm([[BLACK]]))
     fields = {**SETTINGS, **ENDS, **changes}
-    given = {key: value for key, value in fields.items() if value is not None}
-    path.write_text(yaml.safe_dump(given), encoding="utf-8")
+    written = {key: value for key, value in fields.items() if value is not None}
+    path.write_text(yaml.safe_dump(written), encoding="utf-8")
     with pytest.raises(WorldError) as caught:
         files.load_world(path)
     assert str(caught.value).startswith(f"{path}: {message}")

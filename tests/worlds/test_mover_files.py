@@ -47,6 +47,7 @@ def test_what_people_write() -> None:
             {"points": [[3, -1]], "reacts": True, "sees_robot": False},
         ]
     )
+
     assert nurse.position(3.0) == pytest.approx((3.0, 2.0))
     assert (nurse.repeat, nurse.name, nurse.radius) == (Repeat.BACK, "nurse", 0.25)
     assert cart.position(4.0) == pytest.approx((2.5, 3.0))
@@ -54,6 +55,7 @@ def test_what_people_write() -> None:
     assert ball.position(9.0) == (4.0, 8.0)
     assert guard.position(5.0) == (3.0, -1.0)
     assert (guard.reacts, guard.sees_robot) == (True, False)
+
     (usual,) = parse_movers([{"points": [[0, 0], [9, 0]]}])
     assert usual.top_speed == pytest.approx(WALKING_SPEED)
     (smooth,) = parse_movers(

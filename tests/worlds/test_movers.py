@@ -77,7 +77,8 @@ def keys_between(mover: Mover, since: float, until: float) -> bool:
     if mover.repeat == Repeat.BACK:
         ends += [2.0 * mover.duration - end for end in ends]
     cycle = mover.cycle if math.isfinite(mover.cycle) else 1e9
-    first, last = since + mover.phase - 1e-6, until + mover.phase + 1e-6
+    first = since + mover.phase - 1e-6
+    last = until + mover.phase + 1e-6
     return any(math.floor((last - end) / cycle) > math.floor((first - end) / cycle) for end in ends)
 
 
@@ -132,8 +133,8 @@ def test_the_top_speed_is_near_the_largest_one(mover: Mover) -> None:
 def test_bounds_hold_a_motion_and_no_more(mover: Mover) -> None:
     times = np.linspace(0.0, mover.duration, 2000) - mover.phase
     places = np.array([mover.position(time) for time in times.tolist()])
-    left, low, right, high = mover.bounds
-    gaps = np.stack([places.min(axis=0) - (left, low), (right, high) - places.max(axis=0)])
+    low_corner, high_corner = np.array(mover.bounds).reshape(2, 2)
+    gaps = np.stack([places.min(axis=0) - low_corner, high_corner - places.max(axis=0)])
     near = mover.top_speed * mover.duration / 1999.0 + NEAR
     assert (gaps >= mover.radius - NEAR).all()
     assert (gaps <= mover.radius + near).all()
@@ -258,6 +259,6 @@ def test_movers_of_a_world() -> None:
 def test_a_closed_spline_goes_on_where_it_began() -> None:
     """As gz-math has it: both ends have the tangent of the neighbours beside the joint."""
     closed = follow_keys([0, 1, 2, 3], [[0, 0], [2, 0], [1, 2], [0, 0]], smooth=True)
-    leaving, arriving = closed.velocity(0.0), closed.velocity(3.0 - 1e-9)
-    np.testing.assert_allclose(leaving, arriving, atol=1e-6)
+    leaving = closed.velocity(0.0)
+    np.testing.assert_allclose(leaving, closed.velocity(3.0 - 1e-9), atol=1e-6)
     np.testing.assert_allclose(leaving, (0.5, -1.0))

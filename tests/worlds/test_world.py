@@ -139,5 +139,6 @@ def test_odometry_begins_at_the_start() -> None:
     expected = (2.0, 0.0, 1.5 * math.pi - 3.0)
     assert to_odometry(start, (3.0, 4.0, -3.0)) == pytest.approx(expected, abs=1e-12)
     assert point_in_world(start, (2.0, 1.0)) == pytest.approx((2.0, 4.0))
-    origin, pose = (0.0, 0.0, 0.0), (1.25, -2.5, 3.0)
+    origin = (0.0, 0.0, 0.0)
+    pose = (1.25, -2.5, 3.0)
     assert to_odometry(origin, pose) == to_world(origin, pose) == pose
