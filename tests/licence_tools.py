@@ -39,21 +39,19 @@ KNOWN = {
 """Names that packages use for licences, and SPDX's."""
 HEAD = """# Licences
 
-`acsar_gym` is under the MIT licence. This table has all that `pip install 'acsar_gym[all]'`
-installs on Linux, with the licences that the packages themselves name; `make licences` writes it,
-and refuses others. All are permissive, but for those marked: their weak copyleft asks only that
-changes of these packages themselves are published.
+`acsar_gym` is under the MIT licence. This table lists all that `pip install 'acsar_gym[all]'`
+installs on Linux, with the licences that the packages declare, and torch as its build for
+processors. `make licences` writes it, and refuses licences that aren't permissive or weak copyleft.
+Weak copyleft requires only that changes of the packages themselves are published. The
+extras that install such a package are in brackets.
 
-torch counts as its build for processors, which `constraints.txt` is for. Those for NVIDIA's devices
-bring libraries under NVIDIA's own licences.
+Some wheels contain more. torch's builds for NVIDIA's devices install libraries under NVIDIA's own
+licences. imageio-ffmpeg (extras `train` and `video`) has an `ffmpeg` under the GPL, which runs as a
+process of its own. numpy and scipy have OpenBLAS (BSD-3-Clause) and GCC's runtime libraries
+(GPL-3.0 with the GCC runtime exception, which allows any use).
 
-Some wheels carry programs of others. That of imageio-ffmpeg, which only the extras `train` and
-`video` install, has an `ffmpeg` under the GPL, which runs as a process of its own. Those of numpy
-and scipy have OpenBLAS (BSD-3-Clause) and GCC's runtime libraries (GPL-3.0 with the GCC runtime
-exception, which allows any use).
-
-| package | licence | installed by |
-|---|---|---|
+| licence | packages |
+|---|---|
 """
 
 
@@ -111,19 +109,27 @@ def parts(expression: str) -> set[str]:
 
 
 def rows() -> dict[str, str]:
-    """The table's rows, by package."""
-    base, by = installed_by(""), {extra: installed_by(extra) for extra in extras()}
-    found = {}
-    for name in sorted(base.union(*by.values())):
-        asked = "base" if name in base else ", ".join(e for e in by if name in by[e])
-        mark = " (weak copyleft)" if parts(licence(name)) & WEAK else ""
-        found[name] = f"| {name} | {licence(name)}{mark} | {asked} |"
-    return found
+    """The table's rows, by licence."""
+    base = installed_by("")
+    by_extra = {extra: installed_by(extra) for extra in extras()}
+    packages: dict[str, list[str]] = {}
+    for name in sorted(base.union(*by_extra.values())):
+        spdx = licence(name)
+        if parts(spdx) & WEAK:
+            users = ["base"] if name in base else [e for e in by_extra if name in by_extra[e]]
+            packages.setdefault(f"{spdx} (weak copyleft)", []).append(
+                f"{name} ({', '.join(users)})"
+            )
+        else:
+            packages.setdefault(spdx, []).append(name)
+
+    return {spdx: f"| {spdx} | {', '.join(packages[spdx])} |" for spdx in sorted(packages)}
 
 
 if __name__ == "__main__":
     table = rows()
-    other = [name for name in table if not parts(licence(name)) <= PERMISSIVE | WEAK]
+    allowed = PERMISSIVE | WEAK
+    other = [spdx for spdx in table if not parts(spdx.removesuffix(" (weak copyleft)")) <= allowed]
     if other:
         sys.exit(f"make licences: neither permissive nor weak copyleft: {', '.join(other)}")
     print(HEAD + "\n".join(table.values()))
