@@ -86,8 +86,8 @@ class ForeignRobot(Program):
 
     def _lines(self, key: str) -> list[dict[str, Any]]:
         lines = self.log.read_text().splitlines() if self.log.exists() else []
-        whole = [json.loads(line) for line in lines if line.endswith("}")]
-        return [line for line in whole if key in line]
+        events = [json.loads(line) for line in lines if line.endswith("}")]
+        return [event for event in events if key in event]
 
     @property
     def commands(self) -> list[dict[str, Any]]:
@@ -104,7 +104,7 @@ class ForeignRobot(Program):
         return all(abs(speed) < slowest for speed in self.states[-1]["speeds"])
 
     def stood_at(self, slowest: float = 0.05) -> float:
-        """Monotonic time since which its wheels stand still [s]; infinite where they turn."""
+        """Monotonic time since which its wheels stand still [s]. Infinite if they turn."""
         since = float("inf")
         for state in reversed(self.states):
             if any(abs(speed) >= slowest for speed in state["speeds"]):
@@ -172,7 +172,7 @@ class Client:
         return future.result()
 
     def set_scene(self, name: str, start: Sequence[float] = ()) -> Any:
-        """Set the scene of a driver with a simulated robot, and reset it; returns the answer."""
+        """Set the scene of a driver with a simulated robot, and reset it. Returns the answer."""
         values = {"scene": name} | ({"start": list(start)} if start else {})
         request = SetParameters.Request(
             parameters=[
@@ -185,8 +185,8 @@ class Client:
     def spin(self, seconds: float) -> None:
         """Hear for a time."""
         end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self.executor.spin_once(timeout_sec=left)
+        while (remaining := end - time.monotonic()) > 0.0:
+            self.executor.spin_once(timeout_sec=remaining)
 
     def wait(self, condition: Callable[[], bool], what: str, timeout: float = TIMEOUT) -> None:
         """Hear until a condition holds.
@@ -213,8 +213,8 @@ class Client:
 @contextlib.contextmanager
 def client(namespace: str, programs: list[Program]) -> Iterator[Client]:
     """A `Client`, closed at the end."""
-    own = Client(namespace, programs)
+    node = Client(namespace, programs)
     try:
-        yield own
+        yield node
     finally:
-        own.close()
+        node.close()

@@ -11,12 +11,10 @@ import numpy as np
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import open_link
-from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
-from acsar_gym.tools.sysid.excitation import StretchedLink
+from acsar_gym.tools.sysid.excitation import TapedLink
 from acsar_gym.tools.sysid.identify import Identification, ParameterFinding
-from acsar_gym.tools.sysid.wire_tape import WireTape
 
 ACSAR = RobotConfig.preset("acsar")
 TOLERANCES = {
@@ -77,78 +75,68 @@ def draw_misfit(seed: int) -> tuple[RobotConfig, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class Score:
-    """How one parameter of one robot was found."""
+    """How a parameter of a robot was found."""
 
     name: str
     error: float
     """The largest of the wheels', as a share of the tolerance."""
     holds: bool
     """Whether all intervals hold the truth."""
-    share: float = 0.0
-    """The largest error as a share of its interval's half."""
 
 
-def score_findings(found: Identification, truth: RobotConfig) -> Iterator[Score]:
+def true_values(finding: ParameterFinding, truth: RobotConfig) -> list[float | None]:
+    """The true values that a finding is about: of a wheel, of all four, or of the board."""
+    section, field = finding.name.split(".")
+    if section != "motor":
+        return [getattr(getattr(truth, section), field)]
+    wheels = ["abcd".index(finding.wheel)] if finding.wheel else range(4)
+    return [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
+
+
+def score_findings(result: Identification, truth: RobotConfig) -> Iterator[Score]:
     """Compare findings with a hidden robot."""
     for name in TOLERANCES:
-        section, field = name.split(".")
-        parts = []
-        for one in found.findings:
-            if one.name != name:
-                continue
-            if section == "motor":
-                wheels = ["abcd".index(one.wheel)] if one.wheel else range(4)
-                values = [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
-            else:
-                values = [getattr(getattr(truth, section), field)]
-            parts += [score_finding(one, value) for value in values]
-        errors, holds, shares = zip(*parts, strict=True)
-        yield Score(name, max(errors), all(holds), max(shares))
+        parts = [
+            score_finding(finding, value)
+            for finding in result.findings
+            if finding.name == name
+            for value in true_values(finding, truth)
+        ]
+        errors, holds = zip(*parts, strict=True)
+        yield Score(name, max(errors), all(holds))
 
 
-def find_missed_truths(found: Identification, truth: RobotConfig) -> list[str]:
-    """List the intervals that don't hold the truth, and what is told to be missing but isn't."""
-    missed = []
-    for one in (each for each in found.findings if each.told):
-        section, field = one.name.split(".")
-        values = [getattr(getattr(truth, section), field)]
-        if section == "motor":
-            wheels = ["abcd".index(one.wheel)] if one.wheel else range(4)
-            values = [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
-        for value in values:
-            told = one.value is not None and one.low is not None and one.high is not None
-            holds = one.low <= value <= one.high if told and value is not None else not told
-            if not holds or (value is None) != (one.value is None):
-                missed.append(f"{one.name}.{one.wheel} {one.low} to {one.high}, truth {value}")
-    return missed
+def find_missed_truths(result: Identification, truth: RobotConfig) -> list[str]:
+    """List the findings whose intervals don't hold the truth."""
+    return [
+        f"{finding.name}.{finding.wheel} {finding.low} to {finding.high}, truth {value}"
+        for finding in result.findings
+        for value in true_values(finding, truth)
+        if finding.told and not score_finding(finding, value)[1]
+    ]
 
 
-def score_finding(one: ParameterFinding, value: float | None) -> tuple[float, bool, float]:
-    """Error as a share of the tolerance, whether the interval holds it, share of the half width."""
-    if value is None or one.value is None:
-        right = value is one.value and one.told
-        return (0.0 if right else np.inf), right, 0.0
-    error = abs(one.value - value)
-    scale = TOLERANCES[one.name] * (value if one.name in RELATIVE else 1.0)
-    if one.low is None or one.high is None:
-        return error / scale, False, 0.0
-    return error / scale, one.low <= value <= one.high, 2.0 * error / max(2e-9, one.high - one.low)
+def score_finding(finding: ParameterFinding, value: float | None) -> tuple[float, bool]:
+    """Error as a share of the tolerance, and whether the interval holds the truth."""
+    if value is None or finding.value is None:
+        is_right = value is finding.value and finding.told
+        return (0.0 if is_right else math.inf), is_right
+    scale = TOLERANCES.get(finding.name, 1.0) * (value if finding.name in RELATIVE else 1.0)
+    error = abs(finding.value - value) / scale
+    if finding.low is None or finding.high is None:
+        return error, False
+    return error, finding.low <= value <= finding.high
 
 
 def drive_wire(
     speeds: Callable[[float], Any], true: RobotConfig, seconds: float, known: RobotConfig = ACSAR
 ) -> WireLog:
-    """The wire while a robot is driven that isn't the configured one.
+    """The wire while a robot is driven that isn't the configured robot.
 
-    `speeds`: of a time, those of all wheels or of each; None for no command [rad/s].
+    `speeds`: of a time, those of all wheels or of each [rad/s].
     """
-    tape = WireTape()
-    link = RecordedLink(StretchedLink(open_link("planar", true)), tape, known)
-    with Robot(link, known.with_(wheel_check=False)) as robot:
+    tape = TapedLink(open_link("planar", true))
+    with Robot(tape, known.with_(wheel_check=False)) as robot:
         for tick in range(round(seconds / known.period)):
-            asked = speeds(tick * known.period)
-            if asked is None:
-                robot.listen()
-            else:
-                robot.tick(np.broadcast_to(asked, 4).tolist())
+            robot.tick(np.broadcast_to(speeds(tick * known.period), 4).tolist())
     return tape.log

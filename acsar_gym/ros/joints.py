@@ -90,6 +90,8 @@ class JointReader:
         stamp: float,
     ) -> Speeds | None:
         self._check_names(names)
+
+        # A message is refused as a whole, so that no wheel is older than the others.
         turned = self._select("position", positions, names)
         speeds = self._select("velocity", velocities, names)
         self._check_values(turned, speeds)
@@ -99,6 +101,7 @@ class JointReader:
                 f"is stamped {stamp:.9g} s, not after the previous message ({self._stamp:.9g} s)",
             )
 
+        # Speeds hold since the previous message, whenever this one arrived.
         elapsed = stamp - self._stamp
         previous = self._positions
         self._stamp = stamp
@@ -118,6 +121,7 @@ class JointReader:
         else:
             return None
 
+        # Positions jump if encoders are reset.
         fastest = max(speeds, key=abs)
         if abs(fastest) > MAX_WHEEL_SPEED:
             joint = show_value(self._joints[speeds.index(fastest)])
@@ -154,6 +158,8 @@ class JointReader:
             )
         if not len(values):
             return None
+
+        # Joints come in any order, between others.
         selected = tuple(float(values[names.index(joint)]) for joint in self._joints)
         return None if all(map(math.isnan, selected)) else selected
 

@@ -259,6 +259,8 @@ class RosNode:
         kind = self.ros.TFMessage
         if kind is None:
             return False
+
+        # Several robots may each have their own tree of transforms.
         for prefix in dict.fromkeys(("", (namespace or self.namespace).rstrip("/"))):
             self.subscribe(f"{prefix}/tf_static", kind, callback, depth=100, latched=True)
             if moving:
@@ -267,6 +269,7 @@ class RosNode:
 
     def _make_qos(self, depth: int, *, best_effort: bool = False, latched: bool = False) -> Any:
         """Return a QoS profile that keeps the last `depth` messages."""
+        # Best-effort subscriptions match all publishers, reliable publishers all subscriptions.
         reliability = self.ros.qos.ReliabilityPolicy
         durability = self.ros.qos.DurabilityPolicy
         return self.ros.qos.QoSProfile(
@@ -300,6 +303,7 @@ class RosNode:
 
     def list_commanders(self, topic: str) -> list[str]:
         """List the nodes that publish a topic, without this node and watchdogs."""
+        # A watchdog commands nothing but zeros.
         ignored = (WATCHDOG_SUFFIX, UNKNOWN_NODE)
         own_name = f"{self.namespace.rstrip('/')}/{self.name}"
         names = self.list_publishers(topic)
@@ -357,6 +361,7 @@ def interrupts_deferred() -> Iterator[None]:
 
     rclpy swallows a KeyboardInterrupt in `Future.__del__`, and turns it into other errors in C++.
     """
+    # Only the main thread may change handlers, and only a callable handler can be called later.
     handler = signal.getsignal(signal.SIGINT)
     is_main = threading.current_thread() is threading.main_thread()
     if not (is_main and callable(handler)):
@@ -391,6 +396,7 @@ def explain_age(age: float, *, simulated: bool) -> str:
         age: Time of the clock minus the stamp [s].
         simulated: Whether the clock is /clock.
     """
+    # Simulated clocks start at zero.
     if abs(age) > CLOCK_GAP:
         return f"is of another clock: set use_sim_time: {str(simulated).lower()} in its publisher"
     clock = "/clock" if simulated else "the clock of this computer"

@@ -35,6 +35,8 @@ def find_scene(name: str, start: Sequence[float], config: RobotConfig) -> Scene:
         return Scene(_make_pose(start, Region(0.0, 0.0)))
 
     match = _ONE_WORLD.fullmatch(name)
+
+    # A single world is a range of one.
     source = f"{name}-{match[2]}" if match and match[1] else name
     pool = Pool.of(source, None, footprint_radius(config), alone="1", height=lidar_height(config))
     world = next(iter(pool))

@@ -1,6 +1,6 @@
 """Compile tests/ros/tf2_msgs into the virtual environment that runs this file.
 
-No wheel has tf2_msgs. Needs a C and a C++ compiler; cmake and ninja may be of pip.
+No wheel has tf2_msgs. Needs a C and a C++ compiler. cmake and ninja may be of pip.
 """
 
 import os
@@ -14,7 +14,7 @@ import numpy as np
 
 PACKAGE = Path(__file__).parent / "tf2_msgs"
 PYTHON = "python{}.{}".format(*sys.version_info)
-# Where the computer that built the wheels had its Python; their cmake files name it.
+# Where the computer that built the wheels had its Python, which their cmake files name.
 WHEELS_PYTHON = "/opt/python/cp{0}{1}-cp{0}{1}".format(*sys.version_info)
 INCLUDES = {
     f"{WHEELS_PYTHON}/include/{PYTHON}": sysconfig.get_path("include"),

@@ -24,7 +24,7 @@ NUMBERS = itertools.count()
 
 @pytest.fixture(autouse=True)
 def domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> int:
-    """A domain of the test's own: it hears nothing of nodes of the test before that still end."""
+    """A domain for each test, so that it hears nothing of nodes of the test before it."""
     number = (FIRST_DOMAIN + next(DOMAINS)) % 102
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros"))
@@ -33,13 +33,13 @@ def domain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> int:
 
 @pytest.fixture
 def namespace() -> str:
-    """A namespace of the test's own."""
+    """A namespace for each test."""
     return f"/robot{next(NUMBERS)}"
 
 
 @pytest.fixture
 def programs() -> Iterator[list[Program]]:
-    """The test's processes: killed at the end; what they printed is shown where the test fails."""
+    """The test's processes, killed at the end. Their output is shown if the test fails."""
     started: list[Program] = []
     yield started
     for program in started:
@@ -61,8 +61,8 @@ def start_program(programs: list[Program], tmp_path: Path) -> StartProgram:
 @pytest.fixture
 def client(namespace: str, programs: list[Program], deadline: None) -> Iterator[Client]:
     """A node of the test in its namespace."""
-    with ros_tools.client(namespace, programs) as own:
-        yield own
+    with ros_tools.client(namespace, programs) as node:
+        yield node
 
 
 @pytest.fixture

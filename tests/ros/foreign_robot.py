@@ -3,12 +3,12 @@
 It knows rclpy and numpy, and nothing of acsar_gym, so that both can't be wrong together. It takes
 commands as ros2_controllers do, has them take effect after a true dead time, turns its wheels, and
 publishes joint_states, odom, /tf, /tf_static and scan. Its true pose is integrated with the true
-multiplier of the wheel separation; its odometry with that of the controller.
+multiplier of the wheel separation, and its odometry with that of the controller.
 
 `--log FILE` gets a JSON line for each command received and for each state of the wheels, with the
 monotonic time, which all processes of a computer share:
 
-    {"monotonic": 12.34, "command": [0.2, 0.0]}      # or wheel speeds; "refused" tells why not
+    {"monotonic": 12.34, "command": [0.2, 0.0]}      # or wheel speeds, and a reason in "refused"
     {"monotonic": 12.35, "speeds": [3.9, ...], "pose": [x, y, theta], "stamp": seconds}
 
 Faults "after S" begin S seconds after the first command that moves it, or at once where S is 0.
@@ -53,6 +53,7 @@ def options() -> tuple[argparse.Namespace, list[str]]:
     """This program's options, and those of ROS."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     add = parser.add_argument
+
     add("--namespace", default="")
     add("--joints", nargs="+", default=JOINTS, help="in the order of joint_states: NAME=WHEEL with "
         "the wheel a, b, c, d, left or right; a NAME alone is a joint of an arm")  # fmt: skip
@@ -94,11 +95,12 @@ def options() -> tuple[argparse.Namespace, list[str]]:
 class World:
     """Wheels that follow their targets, and the body that they carry."""
 
-    def __init__(self, given: argparse.Namespace) -> None:
-        wheels = [joint.split("=")[1] for joint in given.joints if "=" in joint]
+    def __init__(self, config: argparse.Namespace) -> None:
+        wheels = [joint.split("=")[1] for joint in config.joints if "=" in joint]
         self.right = np.array([wheel in {"a", "d", "right"} for wheel in wheels])
-        self.radius, self.time_constant = given.radius, given.time_constant
-        self.width = given.separation * (given.true_multiplier or given.multiplier)
+        self.radius = config.radius
+        self.time_constant = config.time_constant
+        self.width = config.separation * (config.true_multiplier or config.multiplier)
         self.time = 0.0
         self.targets = np.zeros(len(wheels))
         self.speeds = np.zeros(len(wheels))
@@ -110,9 +112,8 @@ class World:
 
     def body(self, speeds: Array, width: float) -> tuple[float, float]:
         """Linear and angular velocity, or way and angle, of wheels that don't slip."""
-        right = self.radius * float(speeds[self.right].mean())
-        left = self.radius * float(speeds[~self.right].mean())
-        return (right + left) / 2.0, (right - left) / width
+        sides = [self.radius * float(speeds[side].mean()) for side in (self.right, ~self.right)]
+        return sum(sides) / 2.0, (sides[0] - sides[1]) / width
 
     def wheels(self, linear: float, angular: float, width: float) -> Array:
         """Speeds of the wheels for a twist."""
@@ -128,10 +129,12 @@ class World:
             dt = end - self.time
             if dt <= 0.0:
                 return
-            left = math.exp(-dt / self.time_constant) if self.time_constant else 0.0
+
+            # The lag is solved exactly, so that steps may be long.
+            decay = math.exp(-dt / self.time_constant) if self.time_constant else 0.0
             lag = self.speeds - self.targets
-            turned = self.targets * dt + lag * self.time_constant * (1.0 - left)
-            self.speeds = self.targets + lag * left
+            turned = self.targets * dt + lag * self.time_constant * (1.0 - decay)
+            self.speeds = self.targets + lag * decay
             self.angles = self.angles + turned
             way, angle = self.body(turned, self.width)
             self.pose = moved(self.pose, way, angle)
@@ -142,8 +145,10 @@ class World:
         """Distance of the walls [m]: each ray at its time, its angle against the body."""
         past_times, *past = np.array(self.past).T
         x, y, theta = (np.interp(times, past_times, values) for values in past)
-        x, y = x + mount_x * np.cos(theta), y + mount_x * np.sin(theta)
-        cosine, sine = np.cos(theta + angles), np.sin(theta + angles)
+        x = x + mount_x * np.cos(theta)
+        y = y + mount_x * np.sin(theta)
+        cosine = np.cos(theta + angles)
+        sine = np.sin(theta + angles)
         with np.errstate(divide="ignore"):
             to_x = np.where(cosine > 0.0, ROOM[2] - x, ROOM[0] - x) / cosine
             to_y = np.where(sine > 0.0, ROOM[3] - y, ROOM[1] - y) / sine
@@ -159,45 +164,53 @@ def moved(pose: tuple[float, float, float], way: float, angle: float) -> tuple[f
 
 def quaternion(yaw: float, *, upside_down: bool = False) -> Quaternion:
     """A turn by yaw, of what was turned by half a turn about x where it is upside down."""
-    cosine, sine = math.cos(yaw / 2.0), math.sin(yaw / 2.0)
+    cosine = math.cos(yaw / 2.0)
+    sine = math.sin(yaw / 2.0)
     return Quaternion(x=cosine, y=sine, w=0.0) if upside_down else Quaternion(z=sine, w=cosine)
 
 
 class ForeignRobot:
     """The node: everything in one thread, at absolute deadlines."""
 
-    def __init__(self, given: argparse.Namespace) -> None:
-        self.given, self.world = given, World(given)
-        self.controller_width = given.separation * given.multiplier
+    def __init__(self, config: argparse.Namespace) -> None:
+        self.config = config
+        self.world = World(config)
+        self.controller_width = config.separation * config.multiplier
         self.odometry = (0.0, 0.0, 0.0)
-        self.odometry_angles, self.first_command = self.world.angles, math.inf
-        self.log = open(given.log, "w", buffering=1)  # noqa: SIM115
-        self.speed, self.start = given.sim_time or 1.0, time.monotonic()
-        self.epoch = SIM_EPOCH * 10**9 if given.sim_time else time.time_ns()
-        self.node = node = rclpy.create_node("foreign_robot", namespace=given.namespace)
-        sensors = QoSProfile(depth=10, reliability=ReliabilityPolicy[given.qos.upper()])
+        self.odometry_angles = self.world.angles
+        self.first_command = math.inf
+        self.log = open(config.log, "w", buffering=1)  # noqa: SIM115
+        self.speed = config.sim_time or 1.0
+        self.start = time.monotonic()
+        self.epoch = SIM_EPOCH * 10**9 if config.sim_time else time.time_ns()
+
+        self.node = node = rclpy.create_node("foreign_robot", namespace=config.namespace)
+        sensors = QoSProfile(depth=10, reliability=ReliabilityPolicy[config.qos.upper()])
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         self.joint_states = None
-        if not given.odom_only:
+        if not config.odom_only:
             self.joint_states = node.create_publisher(JointState, "joint_states", sensors)
         self.odom = node.create_publisher(Odometry, "odom", sensors)
         self.tf = node.create_publisher(TFMessage, "/tf", 100)
+
         self.periods: dict[Callable[[float], None], float] = {}
-        if given.sim_time:
+        """How often each topic is published [s]."""
+        if config.sim_time:
             self.clock = node.create_publisher(Clock, "/clock", best_effort)
-            self.periods[self.publish_clock] = 1.0 / given.clock_rate
-        self.periods[self.publish_state] = 1.0 / given.rate
-        if given.scan_rate:
+            self.periods[self.publish_clock] = 1.0 / config.clock_rate
+        self.periods[self.publish_state] = 1.0 / config.rate
+        if config.scan_rate:
             self.scan = node.create_publisher(LaserScan, "scan", sensors)
-            static = "/tf_static" if given.static == "global" else "tf_static"
+            static = "/tf_static" if config.static == "global" else "tf_static"
             self.tf_static = node.create_publisher(TFMessage, static, latched)
-            if given.static != "none":
+            if config.static != "none":
                 self.tf_static.publish(TFMessage(transforms=self.mount()))
-            self.periods[self.publish_scan] = 1.0 / given.scan_rate
+            self.periods[self.publish_scan] = 1.0 / config.scan_rate
         qos = {"reliable": 10, "best_effort": best_effort, "transient_local": latched}
-        kind, topic = COMMANDS[given.command], given.command_topic
-        node.create_subscription(kind, topic, self.receive, qos[given.command_qos])
+        node.create_subscription(
+            COMMANDS[config.command], config.command_topic, self.receive, qos[config.command_qos]
+        )
 
     def now(self) -> float:
         """Seconds of the robot's own clock since it started."""
@@ -209,7 +222,7 @@ class ForeignRobot:
 
     def stamp(self, now: float) -> int:
         """What the header of a message says [ns]."""
-        jump = JUMP if self.begun(self.given.clock_jump_after, now) else 0.0
+        jump = JUMP if self.begun(self.config.clock_jump_after, now) else 0.0
         return self.epoch + round((now - jump) * 1e9)
 
     def write(self, now: float, **values: Any) -> None:
@@ -217,18 +230,20 @@ class ForeignRobot:
 
     def receive(self, message: Any) -> None:
         """Check a command as ros2_controllers do, and have it take effect after the dead time."""
-        now, world, refused = self.now(), self.world, None
-        if self.given.command == "wheel_speeds":
+        now = self.now()
+        world = self.world
+        refused = None
+        if self.config.command == "wheel_speeds":
             command = targets = np.array(message.data)
         else:
-            twist = message.twist if self.given.command == "twist_stamped" else message
-            linear, angular = twist.linear.x, twist.angular.z
-            command = np.array([linear, angular])
-            targets = world.wheels(linear, angular, self.controller_width)
-        if self.given.command == "twist_stamped":
+            twist = message.twist if self.config.command == "twist_stamped" else message
+            command = np.array([twist.linear.x, twist.angular.z])
+            targets = world.wheels(twist.linear.x, twist.angular.z, self.controller_width)
+
+        if self.config.command == "twist_stamped":
             stamp = Time.from_msg(message.header.stamp).nanoseconds
             age = (self.stamp(now) - stamp) * 1e-9
-            if stamp and abs(age) > self.given.cmd_vel_timeout:
+            if stamp and abs(age) > self.config.cmd_vel_timeout:
                 refused = f"it is {age:.3f} s old"
         if len(targets) != len(world.targets):
             refused = f"{len(targets)} speeds for {len(world.targets)} wheels"
@@ -237,13 +252,14 @@ class ForeignRobot:
         self.write(now, command=command.tolist(), **({"refused": refused} if refused else {}))
         if refused:
             return
+
         if any(command):
             self.first_command = min(self.first_command, now)
         # A command takes the place of the last one's time-out.
-        while world.events and world.events[-1][0] > now + self.given.delay:
+        while world.events and world.events[-1][0] > now + self.config.delay:
             world.events.pop()
-        world.events.append((now + self.given.delay, targets))
-        halt = now + self.given.delay + self.given.cmd_vel_timeout
+        world.events.append((now + self.config.delay, targets))
+        halt = now + self.config.delay + self.config.cmd_vel_timeout
         world.events.append((halt, np.zeros(len(targets))))
 
     def publish_clock(self, now: float) -> None:
@@ -251,75 +267,89 @@ class ForeignRobot:
 
     def publish_state(self, now: float) -> None:
         """joint_states, odom and its transform, and a line in the log."""
-        given, world = self.given, self.world
+        config = self.config
+        world = self.world
         stamp = self.stamp(now)
         speeds = world.speeds.tolist()
         self.write(now, speeds=speeds, pose=world.pose, stamp=stamp * 1e-9)
         way, angle = world.body(world.angles - self.odometry_angles, self.controller_width)
-        self.odometry, self.odometry_angles = moved(self.odometry, way, angle), world.angles
-        if self.begun(given.drop_after, now):
+        self.odometry = moved(self.odometry, way, angle)
+        self.odometry_angles = world.angles
+        if self.begun(config.drop_after, now):
             return
-        if self.begun(given.nan_after, now):
+        if self.begun(config.nan_after, now):
             speeds[0] = math.nan
+
         header = Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id="odom")
-        odom = Odometry(header=header, child_frame_id=given.frame)
-        odom.pose.pose.position.x, odom.pose.pose.position.y, theta = self.odometry
+        odom = Odometry(header=header, child_frame_id=config.frame)
+        x, y, theta = self.odometry
+        odom.pose.pose.position.x = x
+        odom.pose.pose.position.y = y
         odom.pose.pose.orientation = quaternion(theta)
         linear, angular = world.body(np.array(speeds), self.controller_width)
-        odom.twist.twist.linear.x, odom.twist.twist.angular.z = linear, angular
+        odom.twist.twist.linear.x = linear
+        odom.twist.twist.angular.z = angular
         self.odom.publish(odom)
-        transform = TransformStamped(header=header, child_frame_id=given.frame)
-        transform.transform.translation.x, transform.transform.translation.y, _ = self.odometry
+        transform = TransformStamped(header=header, child_frame_id=config.frame)
+        transform.transform.translation.x = x
+        transform.transform.translation.y = y
         transform.transform.rotation = odom.pose.pose.orientation
         self.tf.publish(TFMessage(transforms=[transform]))
         if self.joint_states is None:
             return
+
         states = JointState(header=Header(stamp=header.stamp))
         wheels = iter(zip(world.angles.tolist(), speeds, strict=True))
-        for joint in given.joints:
+        for joint in config.joints:
             name, *wheel = joint.split("=")
             position, velocity = next(wheels) if wheel else (0.5, 0.0)
-            if name == given.missing_joint and self.begun(given.missing_after, now):
+            if name == config.missing_joint and self.begun(config.missing_after, now):
                 continue
             states.name.append(name)
-            if given.wrap:
-                position = (position + given.wrap / 2.0) % given.wrap - given.wrap / 2.0
+            if config.wrap:
+                position = (position + config.wrap / 2.0) % config.wrap - config.wrap / 2.0
             states.position.append(position)
-            if not given.positions_only:
+            if not config.positions_only:
                 states.velocity.append(velocity)
         self.joint_states.publish(states)
 
     def publish_scan(self, now: float) -> None:
         """The revolution that ends now."""
-        given, count = self.given, self.given.scan_rays
-        if self.begun(given.drop_after, now):
+        config = self.config
+        count = config.scan_rays
+        if self.begun(config.drop_after, now):
             return
         increment = 2.0 * math.pi / max(count, 1)
         angles = -math.pi + increment * np.arange(count)
-        begin = now - given.scan_time_increment * max(count - 1, 0)
-        times = begin + given.scan_time_increment * np.arange(count)
-        towards = given.scan_yaw + (-angles if given.upside_down else angles)
-        ranges = self.world.scan(times, towards, given.scan_x)
+        start = now - config.scan_time_increment * max(count - 1, 0)
+        times = start + config.scan_time_increment * np.arange(count)
+        towards = config.scan_yaw + (-angles if config.upside_down else angles)
+        ranges = self.world.scan(times, towards, config.scan_x)
+
         scan = LaserScan(angle_min=-math.pi, angle_increment=increment)
-        scan.header.stamp = Time(nanoseconds=self.stamp(begin)).to_msg()
+        scan.header.stamp = Time(nanoseconds=self.stamp(start)).to_msg()
         scan.header.frame_id = "laser"
         scan.angle_max = scan.angle_min + increment * max(count - 1, 0)
-        scan.time_increment, scan.scan_time = given.scan_time_increment, 1.0 / given.scan_rate
-        scan.range_min, scan.range_max = 0.05, 12.0
+        scan.time_increment = config.scan_time_increment
+        scan.scan_time = 1.0 / config.scan_rate
+        scan.range_min = 0.05
+        scan.range_max = 12.0
         scan.ranges = ranges.tolist()
         self.scan.publish(scan)
 
     def mount(self) -> list[TransformStamped]:
         """From the base to the LiDAR, over a mast where there is one."""
-        given = self.given
-        hops = [(given.frame, "laser", given.scan_x, given.scan_yaw, given.upside_down)]
-        if given.mast:
-            hops = [(given.frame, "mast", given.scan_x, 1.5, False)]
-            hops += [("mast", "laser", 0.0, given.scan_yaw - 1.5, given.upside_down)]
+        config = self.config
+        hops = [(config.frame, "laser", config.scan_x, config.scan_yaw, config.upside_down)]
+        if config.mast:
+            hops = [(config.frame, "mast", config.scan_x, 1.5, False)]
+            hops += [("mast", "laser", 0.0, config.scan_yaw - 1.5, config.upside_down)]
+
         transforms = []
         for parent, child, x, yaw, upside_down in hops:
             place = Transform(rotation=quaternion(yaw, upside_down=upside_down))
-            place.translation.x, place.translation.z = x, 0.1
+            place.translation.x = x
+            place.translation.z = 0.1
             header = Header(frame_id=parent)
             transforms.append(
                 TransformStamped(header=header, child_frame_id=child, transform=place)
@@ -333,8 +363,8 @@ class ForeignRobot:
         dues = dict.fromkeys(self.periods, 0.0)
         while rclpy.ok():
             publish = min(dues, key=dues.__getitem__)
-            while (left := dues[publish] - self.now()) > 0.0:
-                executor.spin_once(timeout_sec=left / self.speed)
+            while (remaining := dues[publish] - self.now()) > 0.0:
+                executor.spin_once(timeout_sec=remaining / self.speed)
             self.world.advance(dues[publish])
             publish(dues[publish])
             dues[publish] += self.periods[publish]
@@ -342,10 +372,10 @@ class ForeignRobot:
 
 def main() -> None:
     """Run until a signal ends it."""
-    given, of_ros = options()
+    config, of_ros = options()
     rclpy.init(args=[sys.argv[0], *of_ros])
     with suppress(ExternalShutdownException, KeyboardInterrupt):
-        ForeignRobot(given).run()
+        ForeignRobot(config).run()
 
 
 if __name__ == "__main__":

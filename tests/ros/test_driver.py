@@ -141,7 +141,7 @@ def list_warnings(driver: Program) -> list[str]:
     return [line for line in driver.printed.splitlines() if "[INFO]" not in line]
 
 
-def test_topics_have_the_types_and_frames_of_ros(
+def test_driver_publishes_the_types_and_frames_of_ros(
     start_driver: StartDriver, client: Client, namespace: str, config: RobotConfig
 ) -> None:
     mounts = client.hear(TFMessage, "/tf_static", LATCHED)
@@ -181,7 +181,7 @@ def test_topics_have_the_types_and_frames_of_ros(
     assert read_diagnostics(diagnostics)["emergency stop"] == "false"
 
 
-def test_twists_of_any_frame_are_driven_until_the_time_out(
+def test_driver_drives_twists_of_any_frame_until_the_time_out(
     start_driver: StartDriver, client: Client
 ) -> None:
     driver = start_driver("--link", "planar")
@@ -201,7 +201,7 @@ def test_twists_of_any_frame_are_driven_until_the_time_out(
     assert "twists in 'odom' are driven as if in 'base_link'" in line
 
 
-def test_commands_that_cannot_be_driven_are_refused_with_one_line_each(
+def test_driver_refuses_commands_with_a_line(
     start_driver: StartDriver, client: Client, config: RobotConfig
 ) -> None:
     with emulated_board(config) as board:
@@ -217,8 +217,8 @@ def test_commands_that_cannot_be_driven_are_refused_with_one_line_each(
         ):
 
             def is_refused(reason: str = reason) -> bool:
-                known = bool(diagnostics.messages)
-                return known and reason in read_diagnostics(diagnostics)["commands"]
+                has_any = bool(diagnostics.messages)
+                return has_any and reason in read_diagnostics(diagnostics)["commands"]
 
             publish_until(client, publisher, make, is_refused, reason)
             assert speed(joints) < AT_REST
@@ -229,7 +229,7 @@ def test_commands_that_cannot_be_driven_are_refused_with_one_line_each(
     assert 2 <= len(lines) <= 6  # two kinds, each reported again after 10 s
 
 
-def test_publishers_that_disturb_each_other_or_are_not_heard_are_reported(
+def test_driver_reports_publishers_that_disturb(
     start_driver: StartDriver, client: Client, namespace: str, programs: list[Program]
 ) -> None:
     driver = start_driver("--link", "planar")
@@ -246,7 +246,7 @@ def test_publishers_that_disturb_each_other_or_are_not_heard_are_reported(
     assert len(list_warnings(driver)) == 2
 
 
-def test_twists_without_stamps_and_other_names(
+def test_driver_takes_twists_without_stamps_and_other_names(
     start_driver: StartDriver, client: Client, namespace: str
 ) -> None:
     options = ("-p", "stamped:=false", "-r", "__node:=base", "-r", "base:cmd_vel:=drive")
@@ -262,7 +262,7 @@ def test_twists_without_stamps_and_other_names(
     )
 
 
-def test_estop_release_and_reset_odometry(
+def test_services_stop_release_and_reset_odometry(
     start_driver: StartDriver, client: Client, config: RobotConfig
 ) -> None:
     with emulated_board(config) as board:
@@ -290,7 +290,7 @@ def test_estop_release_and_reset_odometry(
         drive_until(lambda: speed(joints) > 1.0, "turning wheels")
 
 
-def test_scenes_and_stamps_over_resets(
+def test_reset_changes_the_scene_and_stamps_grow(
     start_driver: StartDriver, client: Client, tmp_path: Path
 ) -> None:
     driver = start_driver("--link", "planar", "--lidar", "simulated", "--realtime", 2.0)
@@ -328,7 +328,7 @@ def test_scenes_and_stamps_over_resets(
     assert not list_warnings(driver)
 
 
-def test_parameters_come_from_a_file(
+def test_parameters_of_a_file_count(
     start_driver: StartDriver, client: Client, tmp_path: Path
 ) -> None:
     values = {
@@ -382,7 +382,7 @@ rclpy.spin(node)
 """
 
 
-def test_a_subscriber_that_stalls_does_not_stall_the_robot(
+def test_driver_goes_on_if_a_subscriber_stalls(
     start_driver: StartDriver, start_program: StartProgram, client: Client, namespace: str
 ) -> None:
     start_driver("--link", "planar", "--lidar", "simulated")
@@ -395,7 +395,7 @@ def test_a_subscriber_that_stalls_does_not_stall_the_robot(
     stalled.send(signal.SIGCONT)
 
 
-def test_wheels_stop_if_the_node_hangs(
+def test_watchdog_stops_the_wheels_if_the_node_hangs(
     client: Client, namespace: str, tmp_path: Path, config: RobotConfig
 ) -> None:
     """No process reads the driver's log, so that a line blocks the thread of its node forever."""

@@ -51,6 +51,7 @@ def messages(
         topic: client.hear(kind, topic, QoSProfile(depth=1000)) for topic, kind in TYPES.items()
     }
     client.wait(lambda: bool(heard["scan"].messages), "scans", 60.0)
+
     publisher = client.publisher(TwistStamped, "cmd_vel")
     for linear, angular, duration in DRIVES:
         command = TwistStamped()
@@ -80,7 +81,7 @@ def read_poses(odometry: list[Any]) -> NDArray[np.float64]:
     return poses
 
 
-def test_all_topics_describe_the_same_drive(messages: Messages) -> None:
+def test_driver_describes_the_same_drive_on_all_topics(messages: Messages) -> None:
     for topic, heard in messages.items():
         assert np.diff([stamp_of(message) for message in heard]).min() > 0, topic
     odometry = messages["odom"]
@@ -133,11 +134,11 @@ def check_walls(times: Any, poses: Any, scans: list[Any]) -> None:
         rays = np.arange(len(scan.ranges))
         ranges = np.array(scan.ranges)
         when = stamp_of(scan) + rays * scan.time_increment * 1e9
-        seen = np.isfinite(ranges) & (when >= times[0]) & (when <= times[-1])
+        is_hit = np.isfinite(ranges) & (when >= times[0]) & (when <= times[-1])
         x, _, yaw = (np.interp(when, times, values) for values in poses.T)
         angles = yaw + scan.angle_min + rays * scan.angle_increment
         mount = CONFIG.lidar_x_offset * np.cos(yaw) - CONFIG.lidar_y_offset * np.sin(yaw)
-        hits += (x + mount + ranges * np.cos(angles))[seen].tolist()
+        hits += (x + mount + ranges * np.cos(angles))[is_hit].tolist()
     assert len(hits) > 500
     assert np.median(hits) == pytest.approx(WALL, abs=0.02)
     assert np.percentile(np.abs(np.array(hits) - WALL), 95) < 0.15

@@ -36,7 +36,7 @@ def read(client: Client, node: str, *names: str) -> list[Any]:
     return [parameter_value_to_python(value) for value in answer.values]
 
 
-def test_options_count_more_than_parameters_and_these_more_than_the_robot(
+def test_options_count_more_than_parameters(
     client: Client, namespace: str, start_program: StartProgram, tmp_path: Path
 ) -> None:
     (tmp_path / "params.yaml").write_text(PARAMETERS)
@@ -62,7 +62,7 @@ def test_options_count_more_than_parameters_and_these_more_than_the_robot(
     assert "wheel_radus: doesn't exist; did you mean 'wheel_radius'?" in driver.printed
 
 
-def test_parameters_that_have_no_effect_later_cannot_be_set(
+def test_parameters_without_effect_cannot_be_set(
     client: Client, namespace: str, start_program: StartProgram
 ) -> None:
     start_program(*DRIVER, "--link", "planar", "--namespace", namespace)
@@ -80,19 +80,15 @@ def test_parameters_that_have_no_effect_later_cannot_be_set(
         (("-p", "wheel_radius:=abc"), "wheel_radius = 'abc': must be a valid number"),
         (("-p", "control_rate:=33"), "firmware.loop_rate = 200 Hz: must be a whole multiple of"),
         (("-p", "cmd_vel_timeout:=-1.0"), "cmd_vel_timeout = -1: must be positive"),
-        (("-p", "cmd_vel_timeout:=x"), "cmd_vel_timeout = 'x': must be of type float"),
         (("-p", "publish_tf:=1"), "publish_tf = 1: must be of type bool"),
-        (("-p", "link:=5"), "link = 5: must be of type str"),
         (("-p", "twist_covariance_diagonal:=[0.1]"), "must be six variances"),
-        (("-p", "twist_covariance_diagonal:=0.1"), "must be of type array"),
         (("-p", "robot:=nosuch"), "unknown robot preset 'nosuch'"),
         (("-p", "link:=planar", "-p", "scene:=nosuch:1-1"), "nosuch"),
         (("--params-file", "nofile.yaml"), "Couldn't parse params file: '--params-file nofile.y"),
-        (("-r", "__ns:=1-x"), "Couldn't parse remap rule: '-r __ns:=1-x'"),
         (("--nosuch",), "unknown arguments of ROS: ['--nosuch']"),
     ],
 )  # fmt: skip
-def test_a_wrong_parameter_is_one_line(
+def test_driver_refuses_a_wrong_parameter(
     start_program: StartProgram, deadline: None, arguments: tuple[str, ...], reason: str
 ) -> None:
     driver = start_program(*DRIVER, "--ros-args", *arguments)

@@ -1,4 +1,4 @@
-"""`acsar-gym ros policy` beside robots of ours and of others: goals, refusals, ends, recordings."""
+"""`acsar-gym ros policy` next to robots of ours and of others: goals, refusals, ends."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import signal
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +43,7 @@ COMPILE_TIMEOUT = 300.0
 
 
 def wait_for_end(client: Client, program: Program, timeout: float = 3.0 * TIMEOUT) -> int:
-    """Hear until a program has ended by itself; return its exit status."""
+    """Hear until a program has ended by itself, and return its exit status."""
     client.programs.remove(program)  # a wait fails where one of them ends
     try:
         client.wait(lambda: program.process.poll() is not None, "its end", timeout)
@@ -56,8 +55,9 @@ def wait_for_end(client: Client, program: Program, timeout: float = 3.0 * TIMEOU
 class PolicyTest:
     """A policy's node, and what a person in RViz sees and does."""
 
-    def __init__(self, client: Client, namespace: str, program: Program) -> None:
-        self.client, self.program, self.namespace = client, program, namespace
+    def __init__(self, client: Client, program: Program) -> None:
+        self.client = client
+        self.program = program
         self.plans = client.hear(Plan, "plan")
         self.odometry = client.hear(Odometry, "odom")
         self.goals = client.publisher(PoseStamped, "goal_pose")
@@ -69,7 +69,8 @@ class PolicyTest:
     def give(self, x: float, y: float, frame: str = "odom") -> None:
         goal = PoseStamped()
         goal.header.frame_id = frame
-        goal.pose.position.x, goal.pose.position.y = x, y
+        goal.pose.position.x = x
+        goal.pose.position.y = y
         self.goals.publish(goal)
 
     @property
@@ -109,22 +110,18 @@ def start_policy(
     start_program: StartProgram, client: Client, namespace: str, robot_file: Path
 ) -> StartPolicy:
     def start(*options: object, robot: Path = robot_file) -> PolicyTest:
-        given = ("--robot", robot, "--namespace", namespace, "--late-share", 1, *options)
-        program = start_program("-m", "acsar_gym", "ros", "policy", *given)
-        return PolicyTest(client, namespace, program)
+        options = ("--robot", robot, "--namespace", namespace, "--late-share", 1, *options)
+        program = start_program("-m", "acsar_gym", "ros", "policy", *options)
+        return PolicyTest(client, program)
 
     return start
 
 
-def distance(one: Place, other: Place) -> float:
-    return math.dist(one, other)
-
-
-def test_goals_are_driven_to_and_shown(driver: Program, start_policy: StartPolicy) -> None:
+def test_policy_drives_to_goals_and_shows_them(driver: Program, start_policy: StartPolicy) -> None:
     policy = start_policy("--episodes", 2)
     policy.give(1.2, 0.4)
     policy.wait_for("reached in")
-    assert distance(policy.place, (1.2, 0.4)) < 0.2
+    assert math.dist(policy.place, (1.2, 0.4)) < 0.2
     plan = policy.plans.messages[-1]
     assert plan.header.frame_id == "odom"
     last = plan.poses[-1].pose.position
@@ -135,28 +132,24 @@ def test_goals_are_driven_to_and_shown(driver: Program, start_policy: StartPolic
     assert "2/2" in policy.program.printed
 
 
-def test_what_cannot_be_driven_to_is_one_line_and_moves_nothing(
-    driver: Program, start_policy: StartPolicy
-) -> None:
+def test_policy_refuses_goals_with_a_line(driver: Program, start_policy: StartPolicy) -> None:
     policy = start_policy("--once")
-    wrong = [
-        ((math.nan, 0.0, "odom"), "must be finite numbers"),
-        ((50.0, 0.0, "odom"), "is 50 m away: must be 0.5 to 3 m"),
-        ((1.0, 0.0, "nowhere"), "goal (1, 0) in 'nowhere': no transforms on /tf and /tf_static"),
-        ((1.0, 0.0, ""), "names no frame"),
-    ]
-    for goal, line in wrong:
+    wrong = {
+        (math.nan, 0.0, "odom"): "must be finite numbers",
+        (50.0, 0.0, "odom"): "is 50 m away: must be 0.5 to 3 m",
+        (1.0, 0.0, "nowhere"): "goal (1, 0) in 'nowhere': no transforms on /tf and /tf_static",
+    }
+    for count, (goal, line) in enumerate(wrong.items(), start=1):
         policy.give(*goal)
         policy.wait_for(line)
-        assert policy.program.printed.count("refused: ") == 1 + wrong.index((goal, line))
-    assert distance(policy.place, (0.0, 0.0)) < 1e-6
+        assert policy.program.printed.count("refused: ") == count
+    assert math.hypot(*policy.place) < 1e-6
+
     policy.give(1.0, 0.0)  # and it goes on
     assert policy.end() == 0
 
 
-def test_a_new_goal_takes_the_place_of_the_old_one_and_a_service_ends_it(
-    driver: Program, start_policy: StartPolicy
-) -> None:
+def test_policy_replaces_a_goal_and_cancels(driver: Program, start_policy: StartPolicy) -> None:
     policy = start_policy("--episodes", 1)
     client = policy.client
     assert not client.call(Trigger, "acsar_policy/cancel").success
@@ -164,6 +157,7 @@ def test_a_new_goal_takes_the_place_of_the_old_one_and_a_service_ends_it(
     client.wait(lambda: policy.place[0] > 0.3, "a robot that drives")
     policy.give(60.0, 0.0)  # isn't a goal, so the old one stays
     policy.wait_for("m away: must be")
+
     policy.give(0.5, 1.5)
     policy.wait_for("replaced by another goal")
     policy.wait_for("drives to goal (0.5, 1.5)")
@@ -172,10 +166,10 @@ def test_a_new_goal_takes_the_place_of_the_old_one_and_a_service_ends_it(
     client.wait(policy.stands, "standing wheels")
     assert policy.end() == 0
     assert "goal (0.5, 1.5) in 'odom': cancelled" in policy.program.printed
-    assert distance(policy.place, (0.5, 1.5)) > 0.3
+    assert math.dist(policy.place, (0.5, 1.5)) > 0.3
 
 
-def test_goals_in_the_map_of_a_localized_robot_of_others(
+def test_policy_follows_a_goal_in_the_map(
     start_robot: StartRobot,
     start_policy: StartPolicy,
     client: Client,
@@ -193,6 +187,7 @@ def test_goals_in_the_map_of_a_localized_robot_of_others(
     client.node.create_publisher(TFMessage, f"{namespace}/tf_static", LATCHED).publish(
         TFMessage(transforms=[moved])
     )
+
     policy = start_policy("--once", robot=tmp_path / "foreign.yaml")
     policy.give(4.0, 2.0, "map")  # 2 m ahead of the robot
     client.wait(lambda: policy.place[0] > 0.3, "a robot that drives")
@@ -201,10 +196,10 @@ def test_goals_in_the_map_of_a_localized_robot_of_others(
     assert policy.end() == 0, policy.program.printed
     client.wait(foreign.stands, "standing wheels")
     x, y, _ = foreign.states[-1]["pose"]
-    assert distance((x, y), (1.4, 0.0)) < 0.25
+    assert math.dist((x, y), (1.4, 0.0)) < 0.25
 
 
-def test_a_robot_that_ends_while_nobody_drives_is_one_line(
+def test_policy_reports_a_robot_that_ends_meanwhile(
     driver: Program, start_policy: StartPolicy
 ) -> None:
     policy = start_policy()
@@ -216,7 +211,7 @@ def test_a_robot_that_ends_while_nobody_drives_is_one_line(
     assert "Traceback" not in policy.program.printed
 
 
-def test_an_emergency_stop_is_heard_while_nobody_drives(
+def test_policy_obeys_an_emergency_stop_while_it_waits(
     monkeypatch: pytest.MonkeyPatch,
     client: Client,
     start_program: StartProgram,
@@ -225,22 +220,16 @@ def test_an_emergency_stop_is_heard_while_nobody_drives(
 ) -> None:
     with tempfile.TemporaryDirectory() as folder:  # its path is short enough for a socket
         monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", folder)  # stops no other robots
-        stop_while_it_waits(client, start_program, start_policy)
-
-
-def stop_while_it_waits(
-    client: Client, start_program: StartProgram, start_policy: StartPolicy
-) -> None:
-    policy = start_policy()
-    client.programs.remove(policy.program)  # ends, too
-    stop = start_program("-m", "acsar_gym", "estop")
-    assert stop.wait() == 0, stop.printed
-    assert policy.program.wait() == 3
-    client.programs.append(policy.program)
+        policy = start_policy()
+        client.programs.remove(policy.program)  # it ends as well
+        stop = start_program("-m", "acsar_gym", "estop")
+        assert stop.wait() == 0, stop.printed
+        assert policy.program.wait() == 3
+        client.programs.append(policy.program)
     assert "acsar-gym: emergency stop: look after the robot" in policy.program.printed
 
 
-def test_ctrl_c_ends_it(driver: Program, start_policy: StartPolicy) -> None:
+def test_policy_ends_by_ctrl_c(driver: Program, start_policy: StartPolicy) -> None:
     policy = start_policy()
     policy.give(2.5, 0.0)
     policy.client.wait(lambda: policy.place[0] > 0.3, "a robot that drives")
@@ -250,11 +239,7 @@ def test_ctrl_c_ends_it(driver: Program, start_policy: StartPolicy) -> None:
     assert policy.place[0] < 2.0
 
 
-def observations(path: Path) -> list[Any]:
-    return [episode.observations for episode in read(path).episodes]
-
-
-def test_a_recording_over_ros_replays_the_same_observations(
+def test_run_over_ros_replays_the_same_observations(
     driver: Program,
     start_program: StartProgram,
     client: Client,
@@ -262,15 +247,16 @@ def test_a_recording_over_ros_replays_the_same_observations(
     robot_file: Path,
     tmp_path: Path,
 ) -> None:
-    recorded, again = tmp_path / "recorded.mcap", tmp_path / "again.mcap"
-    command: tuple[object, ...] = ("-m", "acsar_gym", "run", "1.0", "0.3", "--yes")
-    command += ("--robot", robot_file, "--late-share", 1)
-    for link, file in ((f"ros2:{namespace}", recorded), (f"replay:{recorded}", again)):
-        run = start_program(*command, "--link", link, "--record", file)
+    drive = tmp_path / "drive.mcap"
+    replay = tmp_path / "replay.mcap"
+    command = ("-m", "acsar_gym", "run", "1.0", "0.3", "--yes", "--robot", robot_file)
+    for link, path in ((f"ros2:{namespace}", drive), (f"replay:{drive}", replay)):
+        run = start_program(*command, "--late-share", 1, "--link", link, "--record", path)
         assert wait_for_end(client, run) == 0, run.printed
-    for first, second in zip(observations(recorded), observations(again), strict=True):
-        assert len(first) > 5
-        assert np.array_equal(first, second)
+
+    for first, second in zip(read(drive).episodes, read(replay).episodes, strict=True):
+        assert len(first.observations) > 5
+        assert np.array_equal(first.observations, second.observations)
 
 
 def test_evaluate_puts_a_simulated_robot_into_the_scenes(

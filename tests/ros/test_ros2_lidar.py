@@ -15,7 +15,7 @@ from acsar_gym.worlds import Scene
 YAW = 1.6
 SCANS = ("--scan-rate", 10, "--scan-yaw", YAW)
 WALLS = (-2.0, -1.5, 4.0, 2.5)
-"""x, y; x, y of the room of the robot [m]."""
+"""Least x and y, and largest x and y, of the robot's room [m]."""
 CONFIG = RobotConfig(
     ros2={"joints": ["right_front", "left_front", "left_rear", "right_rear"]},
     control_rate=50.0,
@@ -47,7 +47,7 @@ def shows_the_room(revolution: Revolution) -> bool:
 
 
 @pytest.mark.parametrize("static", ["global", "namespaced"])
-def test_the_transform_of_the_scans_frame_counts(
+def test_scan_uses_the_transform_of_its_frame(
     static: str, start_robot: StartRobot, namespace: str
 ) -> None:
     start_robot(*SCANS, "--static", static, "--scan-time-increment", 0.0002)
@@ -55,7 +55,7 @@ def test_the_transform_of_the_scans_frame_counts(
 
 
 @pytest.mark.parametrize("flags", [("--static", "none"), ("--mast",)], ids=["none", "mast"])
-def test_without_a_direct_transform_the_robots_file_counts(
+def test_scan_uses_the_robots_file_without_a_transform(
     flags: tuple[str, ...], start_robot: StartRobot, namespace: str
 ) -> None:
     start_robot(*SCANS, *flags)
@@ -73,7 +73,7 @@ def test_without_a_direct_transform_the_robots_file_counts(
     ],
     ids=["no transform", "mast", "upside down", "slow rays", "no rays"],
 )
-def test_scans_that_cant_be_used_are_one_line(
+def test_scan_refuses_an_unknown_pose_and_bad_rays(
     flags: tuple[str, ...], message: str, start_robot: StartRobot, namespace: str
 ) -> None:
     start_robot(*SCANS, *flags)

@@ -96,7 +96,7 @@ def turned(robot: ForeignRobot) -> bool:
 
 
 @pytest.mark.parametrize("name", VARIANTS)
-def test_every_robot_is_driven_and_its_odometry_is_true(
+def test_link_drives_every_robot_with_true_odometry(
     name: str, namespace: str, start_robot: StartRobot, client: Client
 ) -> None:
     variant = VARIANTS[name]
@@ -106,6 +106,7 @@ def test_every_robot_is_driven_and_its_odometry_is_true(
         drive(robot, 0.0, 0.0, 1.0)
         assert max(map(abs, robot.speeds)) < 0.05
         pose = robot.odometry.pose
+
     client.wait(foreign.stands, "standing wheels")
     assert not [command for command in foreign.commands if "refused" in command]
     assert not any(foreign.commands[-1]["command"])
@@ -115,19 +116,17 @@ def test_every_robot_is_driven_and_its_odometry_is_true(
     assert pose[2] == pytest.approx(theta, abs=0.03)
 
 
-def test_one_of_two_robots_is_driven(
+def test_link_drives_only_the_robot_of_its_namespace(
     namespace: str, start_robot: StartRobot, client: Client
 ) -> None:
-    other = ForeignRobot(("--namespace", "/other"), start_robot().log.parent)
-    client.programs.append(other)
-    client.wait(lambda: bool(other.states), "the other robot")
-    foreign = client.programs[0]
-    assert isinstance(foreign, ForeignRobot)
+    foreign = start_robot()
+    neighbour = ForeignRobot(("--namespace", "/other"), foreign.log.parent)
+    client.programs.append(neighbour)
+    client.wait(lambda: bool(neighbour.states), "the other robot")
     with open_robot(namespace) as robot:
         drive_ahead(robot)
     assert turned(foreign)
-    assert not turned(other)
-    assert not other.commands
+    assert not neighbour.commands
 
 
 FAULTS = {
@@ -144,7 +143,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_faults_stop_the_robot_with_one_line(
+def test_link_stops_the_robot_after_a_fault(
     fault: str, namespace: str, start_robot: StartRobot, client: Client
 ) -> None:
     options, kind, reason = FAULTS[fault]
@@ -161,7 +160,7 @@ def test_faults_stop_the_robot_with_one_line(
 @pytest.mark.parametrize(
     ("options", "reason"), [((), "no message for"), (("--sim-time", 1.0), "/clock stands still")]
 )
-def test_a_robot_that_ends_is_one_line(
+def test_link_reports_a_robot_that_ends(
     options: tuple[object, ...], reason: str, namespace: str, start_robot: StartRobot
 ) -> None:
     foreign = start_robot(*options)
@@ -182,7 +181,7 @@ def test_a_robot_that_ends_is_one_line(
         (("--ros-args", "-r", "joint_states:=wheels"), "no node publishes .*wheels"),
     ],
 )
-def test_what_cannot_be_used_is_one_line_and_nothing_is_driven(
+def test_link_refuses_what_it_cannot_use(
     options: tuple[object, ...],
     reason: str,
     namespace: str,
@@ -193,6 +192,7 @@ def test_what_cannot_be_used_is_one_line_and_nothing_is_driven(
     changes: dict[str, Any] = {}
     if "joint_states:=wheels" in options:
         changes = {"ros2": {"feedback": "joint_states"}}
+
     with pytest.raises(LinkError, match=reason) as raised:
         open_robot(namespace, connect_timeout=2.0, **changes).activate()
     assert is_one_line(raised.value)
@@ -216,7 +216,7 @@ while True:
 """
 
 
-def test_a_second_publisher_of_the_wheels_is_an_error_that_names_both(
+def test_link_refuses_a_second_publisher_of_the_wheels(
     namespace: str, start_robot: StartRobot, start_program: StartProgram, client: Client
 ) -> None:
     foreign = start_robot()
@@ -232,7 +232,7 @@ def test_a_second_publisher_of_the_wheels_is_an_error_that_names_both(
         robot.activate()
 
 
-def test_a_publisher_of_other_joints_is_no_mistake(
+def test_link_accepts_a_publisher_of_other_joints(
     namespace: str, start_robot: StartRobot, start_program: StartProgram, client: Client
 ) -> None:
     start_robot()
@@ -243,7 +243,7 @@ def test_a_publisher_of_other_joints_is_no_mistake(
         drive_ahead(robot)
 
 
-def test_a_robot_that_another_node_commands_is_refused_before_anything_is_published(
+def test_link_publishes_nothing_to_a_robot_that_is_driven(
     namespace: str, start_robot: StartRobot, start_program: StartProgram, client: Client
 ) -> None:
     foreign = start_robot()
@@ -257,6 +257,7 @@ def test_a_robot_that_another_node_commands_is_refused_before_anything_is_publis
         second.signalled = True
         while second.process.poll() is None:
             drive(first, 0.1, 0.0, 0.1)
+
         assert "another node commands the robot (/" in second.printed
         assert f"{namespace}/acsar_gym_" in second.printed
         zeros = [line for line in foreign.commands if not any(line["command"])]
@@ -264,7 +265,7 @@ def test_a_robot_that_another_node_commands_is_refused_before_anything_is_publis
         assert zeros[-1]["monotonic"] < driven[0]["monotonic"]
 
 
-def test_a_second_commander_stops_the_drive(
+def test_link_stops_if_another_node_commands(
     namespace: str, start_robot: StartRobot, client: Client
 ) -> None:
     foreign = start_robot("--cmd-vel-timeout", 0.5)
@@ -300,7 +301,7 @@ with Robot(open_link(sys.argv[1], config), config) as robot:
         *((name, signal.SIGKILL) for name in ("speeds of two wheels", "simulated time")),
     ],
 )
-def test_the_wheels_stand_soon_after_the_program(
+def test_wheels_are_at_rest_soon_after_the_program_ends(
     name: str,
     number: signal.Signals,
     namespace: str,
@@ -313,6 +314,7 @@ def test_the_wheels_stand_soon_after_the_program(
     foreign = start_robot("--cmd-vel-timeout", 20.0, *variant.options)
     file = tmp_path / "robot.yaml"
     make_config(variant, watchdog_timeout=0.15).save(file)
+
     program = start_program("-c", DRIVER, f"ros2:{namespace}", file)
     client.wait(lambda: turned(foreign), "turning wheels")
     client.spin(0.3)
@@ -321,7 +323,7 @@ def test_the_wheels_stand_soon_after_the_program(
     assert not [command for command in foreign.commands if "refused" in command]
 
 
-def test_it_opens_again(namespace: str, start_robot: StartRobot, client: Client) -> None:
+def test_link_opens_again(namespace: str, start_robot: StartRobot, client: Client) -> None:
     foreign = start_robot()
     robot = open_robot(namespace)
     for _ in range(3):

@@ -27,7 +27,7 @@ GROUPS = sorted({(kind.victim, kind.robot) for kind in KINDS})
 
 
 @pytest.mark.parametrize(("victim", "robot"), GROUPS)
-def test_robots_stop_in_time(victim: str, robot: str) -> None:
+def test_wheels_stop_in_time(victim: str, robot: str) -> None:
     late: list[Times] = []
     kinds: list[Kind] = [kind for kind in KINDS if (kind.victim, kind.robot) == (victim, robot)]
     for _ in range(ROUNDS):
@@ -38,7 +38,7 @@ def test_robots_stop_in_time(victim: str, robot: str) -> None:
     pytest.fail("\n".join(map(str, late)))
 
 
-def test_no_ctrl_c_is_lost() -> None:
+def test_ctrl_c_is_never_lost() -> None:
     assert ros_stopping.count_interrupts(INTERRUPTS) == INTERRUPTS
 
 
@@ -50,7 +50,7 @@ def children(program: Program) -> list[psutil.Process]:
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGTERM, -signal.SIGTERM), (signal.SIGINT, 130)]
 )
-def test_the_driver_ends_without_a_trace(
+def test_driver_ends_without_a_trace(
     number: signal.Signals,
     code: int,
     client: Client,
@@ -61,6 +61,7 @@ def test_the_driver_ends_without_a_trace(
     file = tmp_path / "robot.yaml"
     config = RobotConfig.preset("acsar").with_(connect_timeout=20.0, feedback_timeout=5.0)
     config.save(file)
+
     node = ("acsar_driver", namespace)
     with emulated_board(config) as board:
         options = ("--robot", file, "--namespace", namespace, "--link", board.device)
@@ -80,14 +81,15 @@ def test_the_driver_ends_without_a_trace(
         client.wait(lambda: node not in client.node.get_node_names_and_namespaces(), "its end", 3.0)
     first, *lines = filter(None, driver.printed.splitlines())
     assert "drives" in first
-    said = ["acsar-gym: interrupted, the wheels were commanded to stop"]
-    assert lines == (said if number == signal.SIGINT else [])
+    message = "acsar-gym: interrupted, the wheels were commanded to stop"
+    assert lines == ([message] if number == signal.SIGINT else [])
 
 
-def test_programs_do_not_disturb_each_other(
+def test_watchdog_stops_only_its_own_robot(
     client: Client, start_program: StartProgram, tmp_path: Path
 ) -> None:
-    robots, drivers = [], []
+    robots = []
+    drivers = []
     for name in ("one", "other"):
         folder = tmp_path / name
         folder.mkdir()
@@ -107,15 +109,16 @@ def test_programs_do_not_disturb_each_other(
     client.wait(lambda: all(driver.printed for driver in drivers), "programs that drive")
     watchdogs = children(drivers[0])
     assert watchdogs
+
     os.kill(drivers[0].process.pid, signal.SIGKILL)
     killed = time.monotonic()
     client.spin(2.0)
     assert not psutil.wait_procs(watchdogs, 3.0)[1]
     assert drivers[1].process.poll() is None
     assert not any(robots[0].commands[-1]["command"])
-    after = [command for command in robots[1].commands if command["monotonic"] > killed]
-    assert len(after) > 50
-    assert all(any(command["command"]) for command in after)
+    later = [command for command in robots[1].commands if command["monotonic"] > killed]
+    assert len(later) > 50
+    assert all(any(command["command"]) for command in later)
     assert drivers[1].end() == -signal.SIGTERM
     assert not any(robots[1].commands[-1]["command"])
     assert len(drivers[1].printed.splitlines()) == 1

@@ -26,6 +26,7 @@ from acsar_gym.protocol import (
     encode,
     encode_line,
 )
+from acsar_gym.recording.types import Floats
 from acsar_gym.safety.layer import Safety
 from acsar_gym.tools.commission.checks import Check, warn_if
 from acsar_gym.tools.commission.wiring import (
@@ -43,7 +44,6 @@ from acsar_gym.tools.sysid.board import (
     STOP_TIME,
     BoardProbe,
     BoardTimes,
-    Floats,
     likely_units,
     measure_board,
 )
@@ -76,7 +76,7 @@ WATCH_ADVICE = (
 ASSUMPTION_REMARK = """\
 An assumption: the wire can't tell swapped or reversed encoders from motors. Watch the wheels,
 and say what turned: acsar-gym doctor DEVICE --spin --saw b a d c --out FILE"""
-"""Remark above a wiring that nobody saw."""
+"""Remark above a wiring that no user saw."""
 
 
 @dataclass
@@ -86,10 +86,10 @@ class BoardExamination:
     Attributes:
         config: Robot configuration, as in the robot's file.
         spin: Whether wheels may be turned.
-        seen: Which wheel was seen to turn for each letter; None if nobody looked.
+        seen: Which wheel was seen to turn for each letter. None if no user looked.
         answers: How encoders answer to each letter, once wheels have been turned.
-        wiring: Wiring that the answers show; None if they show none.
-        times: Measured times of the board; None before they are measured.
+        wiring: Wiring that the answers show. None if they show none.
+        times: Measured times of the board. None before they are measured.
         changes: Fields that differ from `config`.
         is_usable: False ends the checks.
     """
@@ -111,6 +111,8 @@ class BoardExamination:
         """
         self.device = link.device
         self.probe = BoardProbe(link, self.config)
+
+        # Wheels turn as fast as the limits of the robot's file allow, at most.
         four = (SPIN_SPEED, SPIN_SPEED, SPIN_SPEED, SPIN_SPEED)
         self.speed = min(Safety(self.config).bounded(four, (0.0, 0.0, 0.0), 0.0))
         self.turned = wheels_of_file(self.config.wheels) if self.seen is None else self.seen
@@ -125,7 +127,7 @@ class BoardExamination:
                 yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")
 
     def drive(self, command: Speeds | bytes, duration: float, **options: float) -> Floats:
-        """Command speeds as `BoardProbe.drive` does, and stop; returns the lines' speeds."""
+        """Command speeds as `BoardProbe.drive` does, and stop. Returns the lines' speeds."""
         speeds = self.probe.drive(command, duration, **options).speeds
         self.probe.stop_wheels(self.speed)
         return speeds
@@ -145,11 +147,13 @@ class BoardExamination:
         return Check(name, "fail", finding, fix)
 
     def save(self, path: Path, *, force: bool = False) -> Check:
-        """Write the robot with what was found; `force` replaces a file that isn't a robot's."""
+        """Write the robot with the changes. `force` replaces a file that isn't a robot's."""
         name = "robot file"
         if not self.is_usable or self.times is None or math.isnan(self.times.command_timeout):
             finding = f"{path} isn't written: not all was found"
             return Check(name, "skip", finding, "fix what failed, and start again")
+
+        # Without eyes, the wire can't tell which wheel a letter turns.
         is_assumed = self.seen is None and "wheels" in self.changes
         try:
             remarks = {"wheels": ASSUMPTION_REMARK} if is_assumed else {}
@@ -190,6 +194,7 @@ def check_feedback_rate(board: BoardExamination) -> Check:
 
 def check_line_format(board: BoardExamination) -> Check:
     """Describe the newest complete line."""
+    # The last line may be incomplete.
     line = board.probe.tail.rpartition(b"\n")[0].rpartition(b"\n")[2].strip()
     padded = PADDED_LINE.fullmatch(line) is not None
     numbers = "two digits and two decimals" if padded else "unpadded numbers, which are read"
@@ -235,6 +240,7 @@ def check_line_end(board: BoardExamination) -> Check | None:
         finding = "a value is taken at the line's end, and at its comma"
         return Check("line end", "ok", finding) if with_comma else None
 
+    # A board that takes both forms needs no change.
     differs = with_comma != board.config.trailing_comma
     if differs:
         board.changes["trailing_comma"] = with_comma
@@ -249,6 +255,7 @@ def takes_last_value(board: BoardExamination, letter: str, *, comma: bool) -> bo
 
     The board gets only one line: some boards take a value at the first comma of the next line.
     """
+    # The letter goes to the end of the line.
     parts = encode_line(*board.command(letter), b"").split(b",")
     value = parts.pop(MOTORS.index(letter))
     board.probe.trailing_comma = comma
@@ -269,11 +276,15 @@ def spin_wheels(board: BoardExamination) -> Check | None:
         board.answers[letter] = WheelAnswer.of(lines, board.speed)
         if board.probe.gaps:
             return check_resets(board)
+
+    # Which encoder answered to which letter, and which wheel that letter turned.
     board.wiring = infer_wiring(board.answers, board.turned)
 
     notes = board.probe.decoder.notes
     if not notes:
         return None
+
+    # The text of our own firmware names a wheel whose motor it has switched off.
     is_cut = any(note[1:].startswith(" cut:") for note in notes)
     return Check(
         "the board says",
@@ -288,6 +299,8 @@ def check_command_letters(board: BoardExamination) -> Check | None:
     """Find a board that takes upper-case letters only."""
     if any(answer.encoders for answer in board.answers.values()):
         return None
+
+    # No encoder answered: try the other case before calling all wheels dead.
     board.probe.upper_case = True
     if not board.turns(board.drive(board.command(MOTORS), SPIN_TIME)):
         return None
@@ -303,6 +316,8 @@ def check_set_points(board: BoardExamination) -> Check | None:
     a, b, c, d = (round(share * board.speed, 2) for share in ODD_SHARES)
     command = (a, b, c, d)
     speeds = board.drive(command, SET_POINT_TIME)
+
+    # Encoders never follow four odd speeds to the last digit.
     turning = speeds[np.abs(speeds).max(axis=1) > STANDING_SHARE * board.speed]
     if not len(turning) or np.abs(turning - command).max() > 1.5 * PRINTED_STEP:
         return None
@@ -317,6 +332,8 @@ def check_set_points(board: BoardExamination) -> Check | None:
 def check_wheel(index: int, board: BoardExamination) -> Check:
     """Report how one wheel is wired, and whether it turns as commanded."""
     name = WHEELS[index]
+
+    # The letter that turns this wheel, as seen or as the robot's file says.
     letter = next((x for x, turned in board.turned.items() if turned.wheel == MOTORS[index]), "")
     answer = board.answers.get(letter)
     if answer is None or not answer.encoders:
@@ -335,13 +352,15 @@ def check_wheel(index: int, board: BoardExamination) -> Check:
     if not answer.is_right:
         finding += ", and stopped although the command went on" if answer.has_stopped else ""
         return Check(name, "fail", finding, explain_speed(letter, answer, board.config))
-    others = [f"encoder {other} turns with it" for other in answer.encoders[1:]] + [
-        f"encoder {wheel.encoder} answers to motor {other}, too"
-        for other, answered in board.answers.items()
-        if other != letter and answered.encoders[:1] == wheel.encoder
+
+    # Wires that touch make encoders turn together.
+    faults = [f"encoder {encoder} turns with it" for encoder in answer.encoders[1:]] + [
+        f"encoder {wheel.encoder} answers to motor {motor}, too"
+        for motor, answered in board.answers.items()
+        if motor != letter and answered.encoders[:1] == wheel.encoder
     ]
-    if others:
-        return Check(name, "fail", f"{finding}; {', '.join(others)}", "check its wires")
+    if faults:
+        return Check(name, "fail", f"{finding}; {', '.join(faults)}", "check its wires")
     if wheel == board.config.wheels.each[index]:
         return Check(name, "ok", finding)
 
@@ -368,7 +387,7 @@ def explain_speed(letter: str, answer: WheelAnswer, config: RobotConfig) -> str:
 
 
 def check_wiring(board: BoardExamination) -> Check | None:
-    """Compare the wiring with the robot's file; only eyes can tell motors from encoders."""
+    """Compare the wiring with the robot's file. Only users can see motors and encoders apart."""
     if board.wiring is None:
         return None
     is_usual = board.config.wheels == WheelsConfig()
@@ -392,6 +411,7 @@ def check_wiring(board: BoardExamination) -> Check | None:
 
 def check_delay(board: BoardExamination) -> Check:
     """Measure the board's times, and report how long a command takes to show."""
+    # Times are measured with all wheels, which must turn as commanded.
     is_right = all(answer.is_right for answer in board.answers.values())
     if board.wiring is None or not is_right:
         return Check(DELAY_CHECK, "skip", "needs wheels that turn as commanded", "fix them first")
@@ -416,6 +436,8 @@ def check_timeout(board: BoardExamination) -> Check:
     if math.isnan(times.command_timeout):
         fix = "does the board repeat old lines, or is this computer busy? Try again"
         return Check(TIMEOUT_CHECK, "fail", "another time at each trial", fix)
+
+    # Fields that are as configured stay as they are in the file.
     firmware = times.firmware
     configured = board.config.firmware.command_timeout or math.inf
     if math.isclose(board.config.feedback_rate, times.feedback_rate, rel_tol=SAME_RATE):

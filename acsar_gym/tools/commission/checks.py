@@ -27,7 +27,7 @@ class Check:
         name: What was checked.
         status: "ok", "warn", "fail" or "skip".
         found: What was found.
-        fix: What to do; empty if nothing.
+        fix: What to do. Empty if nothing.
     """
 
     name: str
@@ -42,7 +42,7 @@ def warn_if(bad: bool, name: str, found: str, fix: str) -> Check:
 
 
 def check_ports(device: str | None = None) -> Check:
-    """List the serial ports of this computer; a warning if there is neither a port nor a device."""
+    """List the serial ports of this computer. Warn if there is neither a port nor a device."""
     ports = [f"{port.device} ({port.description})" for port in find_ports()]
     if device is not None:
         ports = ports or [f"none but {device}"]

@@ -22,7 +22,7 @@ from acsar_gym.tools.commission.checks import Check
 from acsar_gym.worlds import Scene
 
 BAUD_TIMEOUT = 3.0
-"""Longest wait for a valid line at each baud rate [s]; boards take 1 to 3 s to start."""
+"""Longest wait for a valid line at each baud rate [s]. Boards take 1 to 3 s to start."""
 CONTROL_RATES = (200.0, 100.0, 50.0, 40.0, 20.0, 10.0)
 """Control rates that are tried on a slower wire [Hz]: multiples of a policy's usual 10 Hz."""
 
@@ -41,7 +41,7 @@ class StoppableLink(SerialLink):
         self.listener.connect()
 
     def read_now(self) -> bytes:
-        """Return what has arrived; LinkError at an emergency stop."""
+        """Return what has arrived. LinkError at an emergency stop."""
         if self.listener.is_requested():
             self.stop()
             self.listener.confirm()
@@ -84,17 +84,18 @@ def examine_device(
     examine: Callable[[Link], Iterator[Check]],
     recorder: Recorder | None = None,
 ) -> Iterator[Check]:
-    """Check one device; the first failure of the connection ends the checks.
+    """Check a device. The first failure of the connection ends the checks.
 
     Args:
         device: Serial device.
         config: Robot configuration.
         examine: Examines the board behind the open link.
-        recorder: Records the wire; closed at the end.
+        recorder: Recorder of the wire, which is closed at the end.
 
     Raises:
         EmergencyStopError: After the last result.
     """
+    # It also obeys `acsar-gym estop` before any check has run.
     link: Link = StoppableLink(device, config)
     if recorder is not None:
         link = recorder.watch(link, config)
@@ -114,6 +115,7 @@ def examine_device(
         yield Check("connection", "fail", error.found, error.fix)
         raise
     except LinkError as error:
+        # Bytes without a valid line mean a wrong baud rate, so others are tried.
         is_open = failing == "connection"
         is_garbled = isinstance(error, BoardGarbledError) and not is_open
         if not (is_open or isinstance(error, BoardSilentError)):

@@ -32,6 +32,7 @@ def prepare_realtime(priority: int | None = None, cores: Sequence[int] | None = 
         raise ConfigError(f"real-time priority = {priority}: must be {low} to {high}")
 
     try:
+        # The watchdog needs one priority more, so try whether it would be allowed.
         for allowed in (priority + 1, priority):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(allowed))
     except OSError as error:
@@ -55,6 +56,7 @@ def _pin_to_cores(cores: Sequence[int]) -> None:
     if not hasattr(os, "sched_setaffinity"):
         raise ConfigError("cores: this operating system can't pin a process; run without --cores")
 
+    # The kernel may ignore some of the cores without an error.
     allowed = os.sched_getaffinity(0)
     try:
         os.sched_setaffinity(0, cores)

@@ -64,6 +64,8 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
         )
 
         link.delays.clear()  # those of the opening waited
+
+        # Zeros are commanded meanwhile, as in each drive.
         for _ in range(math.ceil(LISTEN_TIME / config.period)):
             robot.drive(0.0, 0.0)
             if robot.safety.reason is Reason.EMERGENCY_STOP:
@@ -88,6 +90,7 @@ def _report_drive(link: Ros2Link, robot: Robot, stamps: Sequence[float]) -> Iter
         "end them, or let a twist_mux choose",
     )
 
+    # The twin prints at the configured rate.
     rate = round_rate(measure_rate(stamps, range(len(stamps))))
     configured = robot.config.feedback_rate
     yield warn_if(
@@ -103,6 +106,7 @@ def _report_drive(link: Ros2Link, robot: Robot, stamps: Sequence[float]) -> Iter
         "correct their publisher",
     )
 
+    # A delay below zero means that the clocks of two computers differ.
     delay = median(link.delays)
     by_clock = ", by /clock" if link.uses_sim_time else ""
     yield warn_if(

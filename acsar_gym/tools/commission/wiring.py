@@ -35,21 +35,24 @@ class WheelAnswer(NamedTuple):
     """How encoders answer when one letter is commanded forward."""
 
     encoders: str
-    """Letters that report a turn, the fastest first; empty if there are none."""
+    """Letters that report a turn, the fastest first. Empty if there are none."""
     ratio: float
-    """Measured by commanded speed of the first of them, with sign; 0 if there are none."""
+    """Measured by commanded speed of the first of them, with sign. 0 if there are none."""
     has_stopped: bool
     """Whether the wheel stopped although the command went on. The ratio is that before."""
 
     @classmethod
     def of(cls, lines: Lines, speed: float) -> WheelAnswer:
         """Return the answer to a speed that was commanded [rad/s]."""
+        # A wheel may have stopped by itself, so that its fastest line counts.
         newest = lines.newest.mean(axis=0)
         fastest = lines.speeds[np.abs(lines.speeds).max(axis=1).argmax()]
         stands = np.abs(newest).max() < FAINT_SHARE * speed
         has_stopped = bool(stands and np.abs(fastest).max() > MOVING_SHARE * speed)
         ratios = (fastest if has_stopped else newest) / speed
         sizes = np.abs(ratios)
+
+        # Other encoders that turn with it are crosstalk, or share a wire.
         threshold = max(FAINT_SHARE, MOVING_SHARE * sizes.max())
         moving = [index for index in np.argsort(-sizes) if sizes[index] > threshold]
         ratio = float(ratios[moving[0]]) if moving else 0.0
@@ -79,7 +82,7 @@ def parse_seen(answers: Sequence[str]) -> dict[str, SeenWheel]:
             "such as b a d c; DEVICE stands before the options"
         )
 
-    seen: dict[str, SeenWheel] = {}
+    wheels: dict[str, SeenWheel] = {}
     for letter, answer in zip(MOTORS, answers, strict=True):
         match = re.fullmatch(r"([abcd])([pn]?)|none|0", answer.strip().lower())
         if match is None:
@@ -88,11 +91,11 @@ def parse_seen(answers: Sequence[str]) -> dict[str, SeenWheel]:
                 "c rear left, d rear right), an n behind it if it turned backward, or none"
             )
         wheel, way = match.groups()
-        if wheel in {turned.wheel for turned in seen.values()}:
+        if wheel in {turned.wheel for turned in wheels.values()}:
             raise ConfigError(f"{' '.join(answers)}: one wheel turned for two letters: look again")
         if wheel:
-            seen[letter] = SeenWheel(wheel, -1 if way == "n" else 1)
-    return seen
+            wheels[letter] = SeenWheel(wheel, -1 if way == "n" else 1)
+    return wheels
 
 
 def wheels_of_file(file: WheelsConfig) -> dict[str, SeenWheel]:
@@ -105,6 +108,7 @@ def wheels_of_file(file: WheelsConfig) -> dict[str, SeenWheel]:
 
 def wire_wheel(letter: str, turned: SeenWheel, answer: WheelAnswer) -> WheelConfig:
     """Return the wiring of the wheel that a letter turns, and that an encoder answers to."""
+    # An encoder that counts backward while its wheel turns forward is reversed.
     sign = turned.way if answer.ratio > 0.0 else -turned.way
     return WheelConfig(motor=letter, motor_sign=turned.way, encoder=answer.encoders[0], sign=sign)
 
@@ -115,7 +119,7 @@ def infer_wiring(
     """Infer the wiring from how encoders answer to each letter, and from which wheel it turns.
 
     Returns:
-        The wiring; None unless each letter turns a wheel, and another encoder answers to each.
+        The wiring. None unless each letter turns a wheel, and another encoder answers to each.
     """
     encoders = {answer.encoders[0] for answer in answers.values() if answer.encoders}
     if len(turned) < len(MOTORS) or len(encoders) < len(MOTORS):
@@ -128,7 +132,7 @@ def infer_wiring(
 
 
 def describe_sides(wiring: WheelsConfig) -> str:
-    """Report motors or encoders whose left and right are swapped; empty if there are none."""
+    """Report motors or encoders whose left and right are swapped. Empty if there are none."""
     swapped = [
         f"{device}s"
         for device in ("motor", "encoder")

@@ -140,6 +140,7 @@ class Emulator:
         The robot moves evenly from its pose before the loop to its pose after it. Movers go on
         from their newest tick.
         """
+        # The robot moves during a loop, and the LiDAR measures meanwhile.
         x0, y0, theta0 = self._last_pose
         x, y, theta = self._pose
         back = np.minimum(ages / self._period, 1.0)
@@ -153,6 +154,7 @@ class Emulator:
 
         movers = None
         if self._crowd is not None:
+            # Movers walk on straight between their own ticks.
             since = self._link.now() - self._crowd.now - ages
             velocities = self._crowd.states[:, VX : VY + 1]
             movers = self._crowd.states[:, X : Y + 1] + since[:, None, None] * velocities
@@ -180,6 +182,7 @@ class Emulator:
 
     def run_loop(self) -> None:
         """Run one loop of the firmware: receive, simulate, send."""
+        # A signal handler may have changed it.
         if self.plugged != bool(self.device):
             if self.plugged:
                 self._cable.plug()
@@ -190,6 +193,8 @@ class Emulator:
         data = self._cable.read()
         if data:
             self._log_event(rx=data.decode("latin-1"))
+
+            # The first bytes of a client are the start of the episode.
             if self._is_awaited:
                 self._start_episode()
                 self._is_awaited = False

@@ -110,6 +110,7 @@ class LidarTwin:
         Returns:
             The measurements that were made, or became complete, during this time.
         """
+        # A constant number of measurements in a second, or in a turn.
         pace = self._rate * self._samples
         if self.even_angles:
             pace *= self.speed / self._rate
@@ -118,6 +119,7 @@ class LidarTwin:
         count = int(self._due + 1e-9)
         self._due -= count
 
+        # The motor needs time to start, in which nothing is measured.
         turning = self.running and self._spun >= self._spin_up
         if self.running:
             self._spun += dt
@@ -132,6 +134,8 @@ class LidarTwin:
         if self._wobble and not self.even_angles:
             share = 2.0 * np.pi / WOBBLE_TURNS
             turns = turns + self._wobble / share * np.sin(turns * share)
+
+        # A turn starts with the measurement that passes zero.
         complete = np.floor(turns)
         starts = np.diff(complete) > 0.0
         self.turns += int(starts.sum())
@@ -178,6 +182,7 @@ class RplidarTwin(LidarTwin):
         answers = b""
         request = self._request
         for byte in data:
+            # Bytes before a start flag belong to no request.
             if request or byte == SYNC:
                 request.append(byte)
             length = 2

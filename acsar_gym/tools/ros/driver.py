@@ -146,6 +146,7 @@ class CommandInbox:
             frame: Frame of its header.
             simulated: Whether `age` is by /clock.
         """
+        # Nav2 and joysticks stamp their twists with other frames, and mean the base.
         if frame.lstrip("/") not in ("", self._frame) and not self._has_reported_frame:
             self._has_reported_frame = True
             self._report(f"cmd_vel: twists in {frame!r} are driven as if in {self._frame!r}")
@@ -203,6 +204,8 @@ def list_states(
         Stamps [ns], speeds and angles, the oldest first.
     """
     states = [(stamp, speeds, angles)]
+
+    # A late tick integrates several lines. Go back from its end, line by line.
     for (earlier, _), (later, share) in reversed([*pairwise(shares)]):
         stamp -= round(share * NANOSECONDS)
         a, b, c, d = (angle - speed * share for angle, speed in zip(angles, later, strict=True))
@@ -260,6 +263,8 @@ class RobotNode(RosNode):
         except BaseException:
             super().close()
             raise
+
+        # A callback that blocks must not delay what is published, nor the reverse.
         loops = (partial(self.spin, SPIN_PERIOD), self._publish_measured)
         self._threads = [
             threading.Thread(target=self._repeat, args=(loop,), daemon=True) for loop in loops
@@ -267,6 +272,7 @@ class RobotNode(RosNode):
 
     def _read_parameters(self) -> None:
         """Declare the parameters, and read their values."""
+        # The robot's file gives the defaults of its fields, so it is read first.
         given_names = self.list_parameters()
         self.declare(NODE_PARAMETERS, changeable=(SCENE_PARAMETER, START_PARAMETER))
         config = RobotConfig.of(self._read("robot", str) or None)
@@ -274,10 +280,12 @@ class RobotNode(RosNode):
         defaults = {name: "" if value is None else value for name, value in fields.items()}
         self.declare(defaults | {"cmd_vel_timeout": config.firmware.command_timeout or 0.5})
         for name in given_names:
+            # A mistyped parameter would have no effect without a notice.
             names = {*defaults, *NODE_PARAMETERS, "cmd_vel_timeout"}
             if name not in names and not name.startswith(ROS_PARAMETERS):
                 self.warn(f"parameter {name}: doesn't exist{suggest_name(name, names)}")
 
+        # Only values that differ from the robot's file change it.
         values = {name: self.read_parameter(name) for name in defaults}
         changes = {name: value for name, value in values.items() if value != defaults[name]}
         self.config = config.with_(**changes)
@@ -307,6 +315,8 @@ class RobotNode(RosNode):
         """Make publishers and the subscription, and messages that are filled again and again."""
         ros = self.ros
         config = self.config
+
+        # A topic has one type, or rosbag2 and `ros2 topic echo` refuse it.
         if self._read("stamped", bool):
             self.subscribe("cmd_vel", ros.TwistStamped, self._take_stamped, 10)
         else:
@@ -317,6 +327,8 @@ class RobotNode(RosNode):
         self._odometry = self.publish("odom", ros.Odometry, depth=10)
         self._odom = ros.Odometry(child_frame_id=config.base_frame)
         self._odom.header.frame_id = config.odom_frame
+
+        # Live messages have the covariances of recordings.
         covariances = make_covariances(*map(self._read_diagonal, COVARIANCES))
         self._odom.pose.covariance, self._odom.twist.covariance = covariances
         self._scans = self.publish("scan", ros.LaserScan, depth=5)
@@ -330,6 +342,7 @@ class RobotNode(RosNode):
             self.warn("tf2_msgs isn't installed: no /tf and /tf_static are published")
             return
 
+        # The LiDAR doesn't move on the robot: a latched transform is enough.
         mount = ros.TransformStamped(child_frame_id=config.lidar_frame)
         mount.header.frame_id = config.base_frame
         place = mount.transform.translation
@@ -383,6 +396,8 @@ class RobotNode(RosNode):
     def put(self, measured: Measured) -> None:
         """Hand over what was measured in a tick. Doesn't wait."""
         self._measured.put(measured)
+
+        # A node that stalls for long loses the oldest ticks, and not memory.
         if self._measured.qsize() > QUEUE_TICKS:
             with contextlib.suppress(Empty):
                 self._measured.get_nowait()
@@ -413,6 +428,7 @@ class RobotNode(RosNode):
             self._failure = error
 
     def _take_stamped(self, message: Any) -> None:
+        # A stamp of zero means now, as in ros2_controllers.
         stamp = read_stamp(message.header.stamp)
         now = self._newest_stamp if self._clock is not None else self.now()
         age = (now - stamp) / NANOSECONDS if stamp else 0.0
@@ -429,6 +445,8 @@ class RobotNode(RosNode):
             measured = self._measured.get(timeout=SPIN_PERIOD)
         except Empty:
             return
+
+        # Wheels first, so that a reader has them before the pose that they give.
         for nanoseconds, speeds, angles in measured.states:
             self._state.header.stamp = make_stamp(self.ros, nanoseconds)
             self._state.position = angles
@@ -473,6 +491,8 @@ class RobotNode(RosNode):
 
     def _publish_scan(self, stamp: int, scan: LaserScan) -> None:
         message = self._scan
+
+        # A scan is stamped with the time of its first ray.
         first_ray = max(stamp + round(scan.stamp * NANOSECONDS), 0)
         message.header.stamp = make_stamp(self.ros, first_ray)
         for name in (
@@ -489,6 +509,8 @@ class RobotNode(RosNode):
         problem = self.inbox.problem or self._check_publishers()
         status = kinds(level=kinds.OK, message="drives", hardware_id=self.link)
         status.name = f"{DRIVER_NODE}: link"
+
+        # The worst problem is the level of the message.
         if problem or self._late_ticks > self._reported_late_ticks:
             status.level = kinds.WARN
             status.message = problem or "the control loop is late"
@@ -540,6 +562,8 @@ class DrivenRobot:
     ) -> None:
         self._node = node
         link = open_link(node.link or "serial", node.config, realtime=speed)
+
+        # A second node for the same robot would command it as well.
         if link.ros is not None:
             raise ConfigError(f"link = {show_value(node.link)}: that robot is in ROS already")
         self._simulated = link.lateness is None
@@ -592,12 +616,16 @@ class DrivenRobot:
             answer.set_exception(error)
             if not isinstance(error, ConfigError | LinkError):
                 raise
+
+        # A failed reset leaves the robot inactive, but the loop goes on.
         if not self._robot.active:
             self._begin(Scene())
 
     def _begin(self, scene: Scene) -> None:
         """Reset the robot. Stamps go on growing."""
         self._robot.reset(scene)
+
+        # Simulated time starts again at zero with a reset, but the time of ROS must not.
         start = self._newest_stamp if self._simulated else self._node.now()
         self._offset = start - round(self._robot.link.now() * NANOSECONDS)
         self._scanned = -math.inf
@@ -625,6 +653,8 @@ class DrivenRobot:
         if sensor is None or sensor.revolution.stamp <= self._scanned:
             return None
         bearings, distances, times, self._scanned = sensor.revolution
+
+        # The message has its own stamp, to which the times of the rays are relative.
         relative = Revolution(bearings, distances, times - self._robot.wire.stamp, 0.0)
         lidar = self._node.config.lidar
         angle_min, rays = self._turn or (None, None)

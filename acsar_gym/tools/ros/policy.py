@@ -97,6 +97,8 @@ class Frames:
             raise GoalError(f"{goal}: its header names no frame")
 
         place = (goal.x, goal.y, 0.0)
+
+        # A frame such as the base has a place in odom. A frame such as map contains odom.
         frame_pose = self.find_base() if frame == self._base else self._climb(frame, self._odom)
         if frame_pose is not None:
             return Goal(*to_world(frame_pose, place)[:2], self._odom)
@@ -110,6 +112,7 @@ class Frames:
 
     def fix_goal(self, goal: Goal) -> Goal:
         """Return a goal in a frame that doesn't move with the robot, such as map or odom."""
+        # A goal ahead of the robot must not move with it.
         is_fixed = self._climb(self._odom, goal.frame.lstrip("/")) is not None
         return goal if is_fixed else self.find_goal(goal)
 
@@ -150,6 +153,8 @@ class GoalRules(NamedTuple):
         task = inner.task
         if not isinstance(task, GoalTask) or task.follows:
             raise ConfigError(f"{task.id}: has no goals to drive to; use a policy for such a task")
+
+        # Tasks without worlds have their own distances.
         if inner.pool is None:
             return cls(*task.goal_distance)
         config = inner.robot.config
@@ -234,6 +239,7 @@ class PolicyNode(RosNode):
         Raises:
             GoalError: It is too near or too far, or its place isn't known.
         """
+        # A goal of the command line is relative to the robot already.
         place = goal[:2]
         if goal.frame:
             target = self.frames.find_goal(goal)
@@ -309,6 +315,7 @@ class PolicyNode(RosNode):
 
 def _read_pose(place: Any, turn: Any) -> Pose:
     """Return the planar pose of a geometry_msgs/Point or Vector3, and a Quaternion."""
+    # The yaw of any rotation, tilted ones included.
     sin = 2.0 * (turn.w * turn.z + turn.x * turn.y)
     cos = 1.0 - 2.0 * (turn.y * turn.y + turn.z * turn.z)
     return place.x, place.y, math.atan2(sin, cos)
@@ -352,10 +359,13 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Do a step."""
+        # The map may have been corrected since the last step.
         if self.goal.frame and self._start is not None:
             target = self._node.frames.find_goal(self.goal)
             move_goal(self._inner, to_odometry(self._start, (*target[:2], 0.0))[:2])
         observation, reward, terminated, truncated, info = self.env.step(action)
+
+        # The wheels stop at once, also if a new goal follows.
         if self._node.is_interrupted:
             self._inner.robot.stop()
             truncated = True
@@ -404,6 +414,7 @@ def drive_goals(
     watched = GoalEnv(env, node, link)
     driven = 0
     while count is None or driven < count:
+        # The robot is at rest, and its link goes on, so that failures and stops are noticed.
         while node.goal is None:
             robot.check_estop()
             if robot.safety.stopped:
@@ -423,6 +434,7 @@ def drive_goals(
         finally:
             node.is_driving = False
 
+        # A goal that was replaced isn't an episode of the results.
         is_over = episode.success or bool(episode.fault) or not node.is_interrupted
         node.say(f"{goal}: {node.describe_end(episode)}")
         driven += is_over or node.is_cancelled
@@ -466,6 +478,7 @@ def drive_policy(
         LinkError: The robot can't be reached.
     """
     with contextlib.closing(PolicyNode(options, namespace, arguments)) as node:
+        # Options have precedence over parameters.
         chosen = {name: value or str(node.read_parameter(name)) for name, value in options.items()}
         name = chosen["policy"] or DEFAULT_POLICY
         policy = load_policy(name, trust=trust, env=chosen["env"])

@@ -8,14 +8,12 @@ from statistics import median
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acsar_gym.config import BITS_PER_BYTE, RobotConfig
 from acsar_gym.links.base import Link
 from acsar_gym.links.handshake import silence_error, still_turning_error
 from acsar_gym.protocol import MOTORS, ZERO, Decoder, Speeds, encode_line, line_end
-
-Floats = NDArray[np.float64]
+from acsar_gym.recording.types import Floats
 
 SPIN_SPEED = 3.0
 """Wheel speed while a board is measured [rad/s]: 0.15 m/s at the rim of a usual wheel."""
@@ -93,7 +91,7 @@ class BoardTimes(NamedTuple):
 
     @property
     def delay(self) -> float:
-        """Median of `delays` [s]; NaN if there are none."""
+        """Median of `delays` [s]. NaN if there are none."""
         return median(self.delays) if self.delays else math.nan
 
     @property
@@ -127,7 +125,7 @@ class BoardProbe:
     """Commands the letters of a board, and reads its lines.
 
     Attributes:
-        rate: Lines that the board sends per second [Hz]; 0 before `measure_rate`.
+        rate: Lines that the board sends per second [Hz]. 0 before `measure_rate`.
         gaps: Silence of each reset of the board [s].
         tail: The newest bytes that arrived.
         decoder: Decoder, with counters of refused input.
@@ -166,9 +164,9 @@ class BoardProbe:
         """Repeat a command for a while, and return the lines that arrive meanwhile.
 
         Args:
-            command: Speeds of the letters [rad/s], or a line without its end; None to send nothing.
-            duration: Duration on the board's clock [s], which its lines tell: if this computer or
-                an emulator is held up, it takes longer.
+            command: Speeds of the letters [rad/s], or a line without its end. None sends nothing.
+            duration: Duration on the board's clock [s], which its lines show. It takes longer if
+                this computer or an emulator is held up.
             interval: Interval of the commands [s].
 
         Raises:
@@ -182,8 +180,12 @@ class BoardProbe:
 
         while True:
             now = self._link.now()
+
+            # The lines are the board's clock. Before its rate is known, this computer's counts.
             if len(stamps) >= int(self.rate * duration) and now - start >= duration:
                 break
+
+            # Boards stop their wheels without commands, so that each is repeated.
             if command is not None and now >= due:
                 self._send(command)
                 sent = self._sent if due == start else sent
@@ -204,6 +206,8 @@ class BoardProbe:
         data = self._link.advance(PROBE_POLL)
         self.tail = (self.tail + data)[-TAIL_BYTES:]
         now = self._link.now()
+
+        # A pause of this program isn't a pause of the board.
         self._silence += min(now - self._polled, LONGEST_STALL)
         self._polled = now
 
@@ -211,6 +215,8 @@ class BoardProbe:
         for reading in self.decoder.feed(data):
             self._speeds = reading.over(self._speeds)
             lines.append(self._speeds)
+
+        # A board that starts again after a reset is silent for 1 to 2 s.
         if self._silence > SILENCE_TIMEOUT:
             raise silence_error(self._silence, self.decoder)
         if lines:
@@ -220,7 +226,7 @@ class BoardProbe:
         return lines
 
     def measure_rate(self, period: float = COMMAND_INTERVAL) -> Lines:
-        """Command zero in every period [s] for `LISTEN_TIME`; sets `rate`, and returns the lines.
+        """Command zero in every period [s] for `LISTEN_TIME`. Sets `rate`, and returns the lines.
 
         Raises:
             BoardSilentError: No line arrived.
@@ -251,12 +257,14 @@ class BoardProbe:
 def round_rate(measured: float) -> float:
     """Return the rate to which a board was probably set [Hz]."""
     usual = min(BOARD_RATES, key=lambda rate: abs(measured - rate))
+
+    # Clocks differ a little, and the robot's file has the number that the program has.
     is_close = abs(measured - usual) < RATE_ROUNDING * usual
     return float(usual) if is_close else round(measured, 1)
 
 
 def measure_rate(stamps: Sequence[float], numbers: Sequence[int]) -> float:
-    """Return the rate of lines [Hz]; 0 for fewer than two times.
+    """Return the rate of lines [Hz]. 0 for fewer than two times.
 
     It is the Theil-Sen slope of the lines' numbers over their times. A few pauses, bursts or lost
     lines don't change it.
@@ -271,6 +279,7 @@ def measure_rate(stamps: Sequence[float], numbers: Sequence[int]) -> float:
     times = np.asarray(stamps, np.float64)[chosen]
     places = np.asarray(numbers, np.float64)[chosen]
 
+    # The median slope of all pairs of lines ignores outliers.
     later, earlier = np.nonzero(times[:, None] > times[None, :])
     if not len(later):
         return 0.0
@@ -302,6 +311,8 @@ def measure_board(probe: BoardProbe, speed: float = SPIN_SPEED) -> BoardTimes:
     """
     if not probe.rate:
         probe.measure_rate()
+
+    # All wheels turn together, so that the mean speed shows small changes.
     command = (speed, speed, speed, speed)
     delays = _measure_delays(probe, command)
     return BoardTimes(probe.rate, tuple(sorted(delays)), _measure_timeout(probe, command))
@@ -313,7 +324,7 @@ def _mean(speeds: Floats) -> Floats:
 
 
 def _measure_delays(probe: BoardProbe, command: Speeds) -> list[float]:
-    """Time the first effect of a few commands [s]; empty if a command had none."""
+    """Time the first effect of a few commands [s]. Empty if a command had none."""
     delays = []
     for trial in range(DELAY_TRIALS):
         probe.stop_wheels(max(command))
@@ -322,9 +333,13 @@ def _measure_delays(probe: BoardProbe, command: Speeds) -> list[float]:
         # Send the command at another phase of the board's lines each time.
         probe.drive(None, trial / DELAY_TRIALS / probe.rate)
         step = probe.drive(command, EFFECT_TIME)
+
+        # A dead wheel or a noisy encoder doesn't hide the first change of the mean.
         shows = _mean(step.speeds) > max(QUIET_SPEED, 2.0 * noise)
         if not shows.any():
             return []
+
+        # The first byte of a line left the board a line's duration before its last byte arrived.
         delay = step.stamps[shows.argmax()] - probe.line_time - step.sent
         delays.append(max(float(delay), 0.0))
     return delays
@@ -342,9 +357,13 @@ def _measure_timeout(probe: BoardProbe, command: Speeds) -> float:
     for _ in range(TIMEOUT_TRIALS):
         commanded = _time_fall(probe, command, ZERO)
         by_itself = _time_fall(probe, command, None)
+
+        # Wheels that turn for `LONGEST_TIMEOUT` don't stop by themselves.
         if math.isinf(by_itself):
             return math.inf
         timeout = max(by_itself - commanded, 0.0)
+
+        # Two that agree weren't spoilt.
         for earlier in timeouts:
             if abs(timeout - earlier) < SAME_TIMEOUT:
                 return (timeout + earlier) / 2.0
@@ -356,13 +375,14 @@ def _time_fall(probe: BoardProbe, command: Speeds, stop: Speeds | None) -> float
     """Turn the wheels steadily, then command a stop or nothing.
 
     Returns:
-        Time from the newest command until the speed has fallen to `FALL_LEVEL` [s]; infinite if
-        it doesn't.
+        Time from the newest command until the speed has fallen to `FALL_LEVEL` [s]. Infinite
+        if it doesn't.
     """
     steady = probe.drive(command, SPIN_TIME)
     falling = probe.drive(stop, LONGEST_TIMEOUT if stop is None else FALL_TIME)
     probe.stop_wheels(max(command))
 
+    # Interpolate the time of the level between the lines around it.
     stamps = np.append(steady.stamps[-1], falling.stamps)
     speeds = np.append(_mean(steady.speeds)[-1], _mean(falling.speeds))
     level = FALL_LEVEL * _mean(steady.newest).mean()
@@ -390,5 +410,7 @@ def likely_units(ratio: float, config: RobotConfig) -> str:
     for unit, factor in units.items():
         if math.isclose(ratio, factor, rel_tol=UNIT_TOLERANCE):
             return f"likely {unit} (x {factor:.3g}): the wire carries rad/s of the wheel, both ways"
+
+    # A slow wheel may have no scale that is wrong.
     weak = ", or the motor is too weak" if ratio < 1.0 else ""
     return f"check the scale of speeds in the board's program{weak}"

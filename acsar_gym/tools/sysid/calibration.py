@@ -1,7 +1,8 @@
-"""Runs of a calibration, what was measured at their ends, and what odometry says of them.
+"""Runs of a calibration, the readings at their ends, and what odometry predicts for them.
 
-A run is one drive from standstill to standstill, straight or in turns. What odometry makes of its
-wheel angles is compared with readings of a tape or a protractor, or in simulation with the truth.
+A run is a drive from standstill to standstill, straight or in turns. Odometry computed
+from its wheel angles is compared with readings of a tape or a protractor, or in simulation with the
+truth.
 """
 
 from __future__ import annotations
@@ -10,7 +11,9 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
+from statistics import fmean
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +21,7 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording import read
-from acsar_gym.tools.sysid.board import Floats
+from acsar_gym.recording.types import Floats
 
 MANOEUVRES = ("straight", "turn")
 ODOMETRY_ROUGHNESS = 2e-4
@@ -36,11 +39,10 @@ TAPE_SIGMA = 0.0025
 """Standard deviation of a tape's reading [m]: half of its division, for rounding and placement."""
 PROTRACTOR_SIGMA = math.radians(0.5)
 """Standard deviation of a protractor's reading [rad], likewise."""
-LARGEST_READING = 1e6
 
 
 class RunReading(NamedTuple):
-    """One measured number of a run's end, in the frame of its start."""
+    """A measured number of a run's end, in the frame of its start."""
 
     kind: str
     """Straight `distance`, offset to the left (`aside`), or `heading` with full turns included."""
@@ -58,7 +60,7 @@ class RunReading(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CalibrationRun:
-    """One drive from standstill to standstill."""
+    """A drive from standstill to standstill."""
 
     name: str
     """Name such as "turn 2, left"."""
@@ -82,11 +84,10 @@ class Geometry(NamedTuple):
     @classmethod
     def of(cls, config: RobotConfig) -> Geometry:
         """Return the geometry that a robot is configured with."""
-        left = config.left_wheel_radius_multiplier
-        right = config.right_wheel_radius_multiplier
-        mean = (left + right) / 2.0
-        radius = config.wheel_radius * mean
-        return cls(radius, (right - left) / mean, config.wheel_separation_multiplier)
+        sides = (config.left_wheel_radius_multiplier, config.right_wheel_radius_multiplier)
+        mean = fmean(sides)
+        ratio = (sides[1] - sides[0]) / mean
+        return cls(config.wheel_radius * mean, ratio, config.wheel_separation_multiplier)
 
     @property
     def left(self) -> float:
@@ -115,6 +116,8 @@ def integrate_wheels(
     moved = np.diff(wheels, axis=0, prepend=0.0) * (geometry.left, geometry.right)
     way = (moved[:, 0] + moved[:, 1]) / 2.0
     turned = (moved[:, 1] - moved[:, 0]) / (separation * geometry.multiplier)
+
+    # Each step is an arc, whose chord points to its middle heading.
     middle = np.cumsum(turned) - turned / 2.0
     chord = way * np.sinc(turned / (2.0 * math.pi))
     x = (chord * np.cos(middle)).sum()
@@ -136,6 +139,7 @@ def rolled_distance(run: CalibrationRun, radius: float) -> float:
 
 def reading_sigmas(run: CalibrationRun, geometry: Geometry, separation: float) -> list[float]:
     """Return the standard deviation of reading less odometry for each reading [m, rad]."""
+    # Errors of both sides add up along the way, and turn the robot by the lever of the track.
     rough = ODOMETRY_ROUGHNESS * rolled_distance(run, geometry.radius)
     arm = separation * geometry.multiplier / 2.0
     skid = SKID_SPREAD * abs(integrate_wheels(run.wheels, geometry, separation)[2])
@@ -156,7 +160,8 @@ def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[
 
     Args:
         path: Recording, such as that of `calibrate --record`.
-        manoeuvre: straight, turn, or all. A recording that doesn't contain it must be of one kind.
+        manoeuvre: straight, turn, or all. A recording that doesn't name its manoeuvres must be of
+            one kind.
         config: Robot configuration.
 
     Raises:
@@ -164,6 +169,8 @@ def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[
             manoeuvre isn't known.
     """
     recording = read(path)
+
+    # Angles of wheels mean other turns on another robot.
     for name in ("wheel_separation", "wheelbase"):
         recorded = getattr(recording.config, name)
         configured = getattr(config, name)
@@ -184,8 +191,8 @@ def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[
         dt = np.diff(episode.stamps, prepend=episode.start)
         dt[0] = min(dt[0], np.median(dt))  # the reset's wait for standstill is before the first
         a, b, c, d = episode.speeds.T
-        turned = np.column_stack([(b + c) / 2.0, (a + d) / 2.0]) * dt[:, None]
-        wheels = np.concatenate([np.zeros((1, 2)), np.cumsum(turned, axis=0)])
+        sides = np.column_stack([b + c, a + d]) / 2.0
+        wheels = np.concatenate([np.zeros((1, 2)), np.cumsum(sides * dt[:, None], axis=0)])
         name = str(episode.info.get("run") or f"{driven} {len(runs) + 1} of {path.name}")[:100]
         runs.append(CalibrationRun(name, driven, wheels))
     if not runs:
@@ -220,10 +227,10 @@ class GivenReadings(NamedTuple):
             manoeuvres: straight or turn, for each run.
 
         Raises:
-            ConfigError: A number is too large, or there isn't a reading for each run.
+            ConfigError: There isn't a reading for each run.
         """
+        # Each option has a reading for each run of its manoeuvre, or none.
         options = {"measured": "straight", "aside": "straight", "measured-deg": "turn"}
-
         for (option, manoeuvre), numbers in zip(options.items(), self, strict=True):
             runs = manoeuvres.count(manoeuvre)
             if len(numbers) not in (0, runs):
@@ -231,35 +238,33 @@ class GivenReadings(NamedTuple):
                     f"--{option}: {len(numbers)} readings for {runs} {manoeuvre} runs: must be one "
                     "for each run"
                 )
-            if not all(abs(number) <= LARGEST_READING for number in numbers):
-                raise ConfigError(f"--{option}: readings must be at most {LARGEST_READING:g}")
         if self.aside and not self.measured:
             raise ConfigError("--aside needs --measured")
         return any(map(len, self))
 
     def give(self, runs: Sequence[CalibrationRun]) -> list[CalibrationRun]:
         """Return the runs with these readings. If a drive failed, there are fewer runs."""
-        columns = [self.measured, self.aside] if self.aside else [self.measured]
-        rows = {"straight": zip(*columns, strict=True), "turn": zip(self.degrees, strict=True)}
+        distances = iter(self.measured)
+        offsets = iter(self.aside)
+        angles = iter(self.degrees)
 
         measured_runs = []
         for run in runs:
-            row = next(rows[run.manoeuvre], ())
-            readings = run.readings
-            if row and run.manoeuvre == "turn":
-                left, right = run.wheels[-1]
-                readings = (read_protractor(math.copysign(row[0], right - left)),)
-            elif row:
-                distance, *offset = row
+            readings: list[RunReading] = []
+            if run.manoeuvre == "turn":
+                turned = np.diff(run.wheels[-1])[0]  # right less left: positive to the left
+                signed = (math.copysign(angle, turned) for angle in islice(angles, 1))
+                readings += map(read_protractor, signed)
+            else:
                 # Backward runs have positive readings as well.
-                distances = read_tape("distance", abs(distance))
-                readings = (distances, *(read_tape("aside", value) for value in offset))
-            measured_runs.append(replace(run, readings=readings))
+                readings += (read_tape("distance", abs(x)) for x in islice(distances, 1))
+                readings += (read_tape("aside", y) for y in islice(offsets, 1))
+            measured_runs.append(replace(run, readings=tuple(readings) or run.readings))
         return measured_runs
 
 
 def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
-    """Compare a run's readings with odometry; a turn may differ by what skidding explains.
+    """Compare a run's readings with odometry. A turn may differ by what skidding explains.
 
     Raises:
         ConfigError: A reading contradicts odometry by more than `CONTRADICTION_SHARE`.
@@ -270,6 +275,8 @@ def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
     for reading, expected in zip(run.readings, odometry, strict=True):
         low = 1.0 - CONTRADICTION_SHARE
         high = 1.0 + CONTRADICTION_SHARE
+
+        # Wrong units and forgotten turns are off by far more than a wrong radius.
         share = reading.value / (expected or math.inf)
         if reading.kind == "distance" and expected < SHORTEST_RUN:
             raise ConfigError(f"{run.name}: ended where it began, by odometry: not a straight run")

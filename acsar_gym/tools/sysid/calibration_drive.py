@@ -48,7 +48,7 @@ TRUTH_RADIANS = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class RunPlan:
-    """One run from standstill to standstill: a line, a circle, or a turn in place."""
+    """A run from standstill to standstill: a line, a circle, or a turn in place."""
 
     name: str
     manoeuvre: str
@@ -71,15 +71,18 @@ def plan_straights(distance: float, speed: float, repeats: int) -> list[RunPlan]
         speed: Speed of the first run [m/s]. The next ones are slower, so that roundings differ.
         repeats: Number of runs. Every second run goes backward, to the start of the one before.
     """
-    _check_size("--distance", distance, 100.0, repeats)
-    plans = []
-    for number in range(repeats):
-        slower = speed * (1.0 - SLOWER_SHARE * (number % 3))
-        back = number % 2 == 1
-        plans.append(
-            RunPlan(f"straight {number + 1}", "straight", distance, 0.0, speed=slower, back=back)
+    _check_size("--distance", distance, largest=100.0, runs=repeats)
+    return [
+        RunPlan(
+            name=f"straight {number + 1}",
+            manoeuvre="straight",
+            distance=distance,
+            angle=0.0,
+            speed=speed * (1.0 - SLOWER_SHARE * (number % 3)),
+            back=number % 2 == 1,
         )
-    return plans
+        for number in range(repeats)
+    ]
 
 
 def plan_turns(
@@ -90,28 +93,32 @@ def plan_turns(
     Args:
         turned: Full turns of each run.
         speeds: Turn rates [rad/s].
-        radii: Radii of the circles that the robot's centre drives [m]; 0 turns in place.
+        radii: Radii of the circles that the robot's centre drives [m]. 0 turns in place.
         repeats: Number of runs of each kind.
     """
-    _check_size("--turns", turned, 1000.0, repeats)
-    for radius in radii:
-        if not 0.0 <= radius <= 100.0:
-            raise ConfigError(f"--radii {radius:g}: must be 0 to 100 m")
+    _check_size("--turns", turned, largest=1000.0, runs=repeats)
+    if not all(0.0 <= radius <= 100.0 for radius in radii):
+        raise ConfigError(f"--radii {min(radii):g} to {max(radii):g}: must be 0 to 100 m")
+
     plans = []
     pairs = list(itertools.product(radii, speeds)) * repeats
     for number, (radius, rate) in enumerate(pairs, start=1):
-        side = 1.0 if number % 2 else -1.0
-        angle = side * turned * math.tau
+        angle = math.tau * (turned if number % 2 else -turned)
         circle = f", radius {radius:g} m" if radius else ""
-        name = f"turn {number}, {'left' if side > 0.0 else 'right'}, {rate:g} rad/s{circle}"
-        speed = rate * radius if radius else rate
-        plans.append(RunPlan(name, "turn", radius * abs(angle), angle, speed=speed))
+        plan = RunPlan(
+            name=f"turn {number}, {'left' if number % 2 else 'right'}, {rate:g} rad/s{circle}",
+            manoeuvre="turn",
+            distance=radius * abs(angle),
+            angle=angle,
+            speed=rate * radius if radius else rate,
+        )
+        plans.append(plan)
     return plans
 
 
-def _check_size(option: str, size: float, limit: float, runs: int) -> None:
-    if not 0.0 < size <= limit:
-        raise ConfigError(f"{option} {size:g}: must be more than 0, at most {limit:g}")
+def _check_size(option: str, size: float, *, largest: float, runs: int) -> None:
+    if not 0.0 < size <= largest:
+        raise ConfigError(f"{option} {size:g}: must be more than 0, at most {largest:g}")
     if not 1 <= runs <= MOST_RUNS:
         raise ConfigError(f"{runs} runs: must be 1 to {MOST_RUNS}")
 
@@ -123,6 +130,7 @@ def find_needed_space(plans: Sequence[RunPlan], config: RobotConfig) -> tuple[fl
     """
     ahead = aside = 0.0
     for plan in plans:
+        # A circle needs its radius ahead and its diameter to the side.
         if plan.distance and plan.angle:
             radius = plan.distance / abs(plan.angle)
             half_turns = min(1.0, abs(plan.angle) / math.pi)
@@ -130,6 +138,8 @@ def find_needed_space(plans: Sequence[RunPlan], config: RobotConfig) -> tuple[fl
             aside = max(aside, radius * (1.0 - math.cos(math.pi * half_turns)))
         else:
             ahead = max(ahead, plan.distance)
+
+    # The robot itself, and what an uncalibrated robot may be off.
     around = footprint_radius(config) + SPACE_MARGIN + SPACE_SLACK * max(ahead, aside)
     return ahead + around, aside + around
 
@@ -154,7 +164,7 @@ def check_space(
 
 
 def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -> Geofence:
-    """Return a geofence around the space, in the frame of one run's start.
+    """Return a geofence around the space, in the frame of a run's start.
 
     Args:
         config: Robot configuration.
@@ -162,6 +172,7 @@ def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -
         space: Free floor ahead of the robot's centre, and to each of its sides [m]. Behind it, the
             shorter of the two is taken. A run that goes backward starts at its far end.
     """
+    # The fence is for the robot's centre.
     reach = footprint_radius(config)
     x = space[0] - reach
     y = space[1] - reach
@@ -186,10 +197,10 @@ def drive_plans(
     The link is closed after each run, while people measure.
 
     Args:
-        robot: Robot, not active; closed afterwards. A simulated robot starts each run at the
+        robot: Robot, not active. It is closed afterwards. A simulated robot starts each run at the
             origin.
         plans: What to drive.
-        space: Free floor ahead and to each side [m]; see `make_fence`. A simulated robot needs
+        space: Free floor ahead and to each side [m]. See `make_fence`. A simulated robot needs
             none.
         runs: Each run is added here as soon as it has ended.
         announce: Called before each run, such as a countdown.
@@ -206,6 +217,7 @@ def drive_plans(
     free = space or find_needed_space(plans, robot.config)
     try:
         for planned in plans:
+            # A simulated robot starts each run at the origin, so that it needn't drive back.
             plan = replace(planned, back=planned.back and not simulated)
             announce(plan)
             if recorder is not None:
@@ -217,7 +229,7 @@ def drive_plans(
 
 
 def drive_run(robot: Robot, plan: RunPlan, *, reads_truth: bool = False) -> CalibrationRun:
-    """Drive one run; the robot is stopped and closed on any way out of it.
+    """Drive a run. The robot is stopped and closed on any way out of it.
 
     Args:
         robot: Robot, not active.
@@ -225,13 +237,15 @@ def drive_run(robot: Robot, plan: RunPlan, *, reads_truth: bool = False) -> Cali
         reads_truth: Whether the truth of a simulation measures the run.
 
     Raises:
-        LinkError: The link failed, or the robot was stopped or doesn't get on.
+        LinkError: The link failed, or the robot was stopped or doesn't move on.
     """
     run = _DrivenRun(robot, plan)
     try:
         robot.reset(Scene())
         run.follow()
         run.drive()
+
+        # Wheels roll out before the end is measured.
         for _ in range(math.ceil(REST_TIME / robot.config.period)):
             run.tick(0.0, 0.0)
     except BaseException as error:
@@ -254,7 +268,7 @@ def read_truth(poses: Sequence[Pose], manoeuvre: str) -> tuple[RunReading, ...]:
 
 
 class _DrivenRun:
-    """One run while it is driven."""
+    """A run while it is driven."""
 
     def __init__(self, robot: Robot, plan: RunPlan) -> None:
         self.robot = robot
@@ -263,25 +277,24 @@ class _DrivenRun:
         """Angles turned by the left and the right wheels [rad]."""
         self.truth: list[Pose] = []
         """True poses of a simulated robot."""
-        self.heading = 0.0
-        """Turned angle by odometry [rad]."""
-        self.way = 0.0
-        """Driven distance by odometry [m]."""
 
     def drive(self) -> None:
-        """Drive along a line or a circle, or turn in place; LinkError if it doesn't end."""
+        """Drive along a line or a circle, or turn in place. LinkError if it doesn't end."""
         plan = self.plan
         goal = plan.distance or abs(plan.angle)
         seconds = 3.0 * goal / plan.speed + RUN_TIMEOUT
         for _ in range(math.ceil(seconds / self.robot.config.period)):
-            progress = self.way if plan.distance else math.copysign(1.0, plan.angle) * self.heading
+            way, heading = self.measure()
+            progress = way if plan.distance else math.copysign(1.0, plan.angle) * heading
             if goal - progress < RUN_TOLERANCE:
                 return
+
+            # Slow down before the end, so that the robot neither slips nor overshoots.
             approach = APPROACH_GAIN * (goal - progress) / plan.speed
             speed = plan.speed * min(1.0, max(SLOWEST_SHARE, approach))
             if plan.distance:
                 wanted = plan.angle * min(1.0, progress / goal)
-                rate = speed * plan.angle / goal + HEADING_GAIN * (wanted - self.heading)
+                rate = speed * plan.angle / goal + HEADING_GAIN * (wanted - heading)
                 self.tick(-speed if plan.back else speed, rate)
             else:
                 self.tick(0.0, math.copysign(speed, plan.angle))
@@ -294,25 +307,31 @@ class _DrivenRun:
             "check that nothing blocks the robot, its battery, and 'acsar-gym doctor'",
         )
 
-    def tick(self, linear: float, angular: float) -> None:
-        """Drive for one tick; LinkError if the safety layer holds the robot."""
-        robot = self.robot
-        start_x, start_y, start_theta = robot.odometry.pose
-        robot.drive(linear, angular)
-        x, y, theta = robot.odometry.pose
-        self.heading += math.remainder(theta - start_theta, math.tau)
-        self.way += math.hypot(x - start_x, y - start_y)
-        self.follow()
+    def measure(self) -> tuple[float, float]:
+        """Return the driven distance [m] and the turned angle [rad] by odometry."""
+        radii = self.robot.config.wheel_radii
+        sides = [angle * radius for angle, radius in zip(self.wheels[-1], radii, strict=True)]
+        turned = (sides[1] - sides[0]) / self.robot.config.effective_separation
+        return abs(sides[0] + sides[1]) / 2.0, turned
 
-        if robot.safety.stopped and robot.safety.reason != Reason.GEOFENCE:
+    def tick(self, linear: float, angular: float) -> None:
+        """Drive for one tick. LinkError if the safety layer holds the robot."""
+        robot = self.robot
+        robot.drive(linear, angular)
+        self.follow()
+        if not robot.safety.stopped:
+            return
+        if robot.safety.reason != Reason.GEOFENCE:
             error = f"{self.plan.name}: ended by an emergency stop"
             raise LinkError(error, "start again when it is safe")
-        if robot.safety.stopped:
-            raise LinkError(
-                f"{self.plan.name}: stopped at ({x:.2f}, {y:.2f}) m by odometry, the edge of the "
-                "stated space",
-                "give more --space, or calibrate turns first",
-            )
+
+        # The fence stops a robot whose odometry is wrong before it hits what is beyond.
+        x, y, _ = robot.odometry.pose
+        raise LinkError(
+            f"{self.plan.name}: stopped at ({x:.2f}, {y:.2f}) m by odometry, the edge of the "
+            "stated space",
+            "give more --space, or calibrate turns first",
+        )
 
     def follow(self) -> None:
         """Note the wheels' angles, and the true pose of a simulated robot."""

@@ -19,8 +19,9 @@ from rich.table import Table
 from acsar_gym.config import Measured, RobotConfig, update_measured
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics.randomization import LEAST_TURN
+from acsar_gym.recording.types import Floats
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid.board import Floats
+from acsar_gym.tools.sysid.board_log import Estimate
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
@@ -35,7 +36,7 @@ with require_extra("calibration", "scipy"):
 
 
 class Parameter(NamedTuple):
-    """A fitted parameter: radius and multiplier are shares of the config's, the ratio is itself."""
+    """A fitted parameter. Radius and multiplier are fitted as shares of the config's."""
 
     prior: float
     """Standard deviation before anything is measured."""
@@ -58,7 +59,7 @@ PARAMETERS = {
     ),
     "wheel_separation_multiplier": Parameter(0.5, 1e-3, 2.5e-3, "calibrate turn"),
 }
-"""The parameters in the order of Geometry; the ratio is right less left radius, as a share of their
+"""The parameters in the order of Geometry. The ratio is right less left radius, as a share of their
 mean."""
 PRIOR = np.array([parameter.prior for parameter in PARAMETERS.values()])
 HELD = 1e-6
@@ -76,26 +77,13 @@ MULTIPLIER_FIELD = "wheel_separation_multiplier"
 TURN_FACTOR_FIELD = "body.turn_factor"
 
 
-class Interval(NamedTuple):
-    """A number with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    @classmethod
-    def around(cls, value: float, half: float) -> Interval:
-        """Return the interval from value - half to value + half."""
-        return cls(value, value - half, value + half)
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class GeometryFit:
     """Result of a fit."""
 
     geometry: Geometry
-    """Radii and multiplier; those that weren't narrowed are the config's."""
-    narrowed: dict[str, Interval]
+    """Radii and multiplier. Those that weren't narrowed are the config's."""
+    narrowed: dict[str, Estimate]
     """The parameters that the readings narrow, by their names in PARAMETERS."""
     runs: tuple[CalibrationRun, ...]
     """Runs with readings."""
@@ -107,7 +95,7 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
     """Fit radii and multiplier to the readings of all runs.
 
     Args:
-        runs: Runs; those without readings are left out.
+        runs: Runs. Those without readings are left out.
         config: Robot configuration. Parameters that the readings don't narrow are taken from it.
 
     Raises:
@@ -120,6 +108,7 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
     for run in used:
         check_readings(run, config)
 
+    # Radius and multiplier are fitted as shares of the config's.
     nominal = Geometry.of(config)
     separation = config.wheel_separation
     centre = np.array([1.0, nominal.ratio, 1.0])
@@ -132,11 +121,13 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
         predicted = [predict_readings(run, geometry, separation) for run in used]
         return np.asarray((measured - np.concatenate(predicted)) / sigmas)
 
-    def solve(prior: Floats) -> Any:
+    def solve(prior: Floats) -> tuple[Floats, Floats]:
+        """Return the solution, and the precision that the readings alone give it."""
+
         def residuals_with_prior(x: Floats) -> Floats:
             return np.append(residuals(x), (x - centre) / prior)
 
-        return optimize.least_squares(
+        solution: Any = optimize.least_squares(
             residuals_with_prior,
             centre,
             x_scale=PRIOR,
@@ -144,38 +135,40 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
             f_scale=OUTLIER_SIGMAS,
             xtol=1e-12,
         )
-
-    def spread(solution: Any, prior: Floats) -> Floats:
-        """Return the standard deviation of each parameter."""
         jacobian = solution.jac[: len(measured)]
-        precision = jacobian.T @ jacobian + np.diag(prior**-2.0)
-        return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision))))
+        return solution.x, jacobian.T @ jacobian
 
-    is_narrowed = spread(solve(PRIOR), PRIOR) < NARROWED_SHARE * PRIOR
+    def spread(precision: Floats, prior: Floats) -> Floats:
+        """Return the standard deviation of each parameter."""
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + np.diag(prior**-2.0)))))
+
+    # Parameters that the readings don't narrow are held. The others are left to the readings.
+    is_narrowed = spread(solve(PRIOR)[1], PRIOR) < NARROWED_SHARE * PRIOR
     if not is_narrowed.any():
         raise ConfigError(
             "the readings tell neither radius nor multiplier: drive farther, or measure finer"
         )
-    solution = solve(np.where(is_narrowed, FREE, HELD))
-    x = np.where(is_narrowed, solution.x, centre)
+    solution, precision = solve(np.where(is_narrowed, FREE, HELD))
+    x = np.where(is_narrowed, solution, centre)
     off = residuals(x)
     freedom = max(1, len(off) - int(is_narrowed.sum()))
     rms = math.sqrt(float(off @ off) / freedom)
 
-    deviation = spread(solution, np.where(is_narrowed, PRIOR, _known_spread(config)))
+    # If residuals exceed their scales, something else moves the robot, in all runs perhaps alike.
+    deviation = spread(precision, np.where(is_narrowed, PRIOR, _known_spread(config)))
     narrowed = {}
     for index, (name, parameter) in enumerate(PARAMETERS.items()):
-        systematic = parameter.systematic + parameter.unmodelled * max(0.0, rms - 1.0)
-        half = NORMAL_QUANTILE * math.hypot(max(1.0, rms) * deviation[index], systematic)
         if is_narrowed[index]:
-            narrowed[name] = Interval.around(
+            systematic = parameter.systematic + parameter.unmodelled * max(0.0, rms - 1.0)
+            half = NORMAL_QUANTILE * math.hypot(max(1.0, rms) * deviation[index], systematic)
+            narrowed[name] = Estimate.around(
                 float(x[index] * units[index]), float(half * units[index])
             )
     return GeometryFit(Geometry(*(x * units).tolist()), narrowed, used, rms)
 
 
 def _known_spread(config: RobotConfig) -> Floats:
-    """Return the standard deviation of each parameter as measured before, else its prior."""
+    """Return the standard deviation of each parameter as measured earlier, else its prior."""
     spread = PRIOR.copy()
     for name, interval in config.measured.items():
         sigma = max((interval.high - interval.low) / (2.0 * NORMAL_QUANTILE), 1e-9)
@@ -186,22 +179,23 @@ def _known_spread(config: RobotConfig) -> Floats:
     return spread
 
 
-def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Interval]:
+def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Estimate]:
     """Return the fitted fields of a robot's config with their intervals, by dotted name.
 
     The mean of both sides' multipliers stays as it is. `body.turn_factor` is the separation's
     multiplier, so that the twin turns as the robot does. That of a tyre is above 1.
     """
-    fields: dict[str, Interval] = {}
+    fields: dict[str, Estimate] = {}
     mean = (config.left_wheel_radius_multiplier + config.right_wheel_radius_multiplier) / 2.0
 
     for name, interval in fit.narrowed.items():
+        # The fitted radius is the mean of both sides. The field is without the sides' multipliers.
         if name == "wheel_radius":
-            fields[name] = Interval(*(number / mean for number in interval))
+            fields[name] = Estimate(*(number / mean for number in interval))
         elif name == "radius_ratio":
             half = mean * (interval.high - interval.low) / 4.0
             for field, side in zip(RADIUS_FIELDS, (-0.5, 0.5), strict=True):
-                fields[field] = Interval.around(mean * (1.0 + side * interval.value), half)
+                fields[field] = Estimate.around(mean * (1.0 + side * interval.value), half)
         else:
             fields[name] = interval
             if interval.value > 1.0:
@@ -213,7 +207,7 @@ def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Interval]:
 def make_calibrated_config(
     fit: GeometryFit, config: RobotConfig, *, in_ros: bool = False
 ) -> RobotConfig:
-    """Return the robot's config with what was found, and with intervals, method and logs.
+    """Return the robot's config with the fitted fields, their intervals, method and logs.
 
     A robot in ROS continues to take twists by the geometry of its controller. Such a controller
     regulates the speeds of its wheels. If they turn slower or faster than commanded, twists were
@@ -221,18 +215,19 @@ def make_calibrated_config(
     radius takes this error out of the gains.
     """
     fields = fitted_fields(fit, config)
+
+    # `Randomization.measured` draws from these intervals.
     method = "calibrate " + " ".join(sorted({run.manoeuvre for run in fit.runs}))
     logs = (hash_runs(fit.runs),)
-
     measured: dict[str, Measured | None] = {
         name: Measured(low=interval.low, high=interval.high, method=method, logs=logs)
         for name, interval in fields.items()
     }
-    if MULTIPLIER_FIELD in fields:  # a multiplier that no tyre has ends the tyre's interval
-        measured.setdefault(TURN_FACTOR_FIELD, None)
     changes: dict[str, Any] = {name: interval.value for name, interval in fields.items()}
     if TURN_FACTOR_FIELD in changes:
         changes["body"] = {"turn_factor": changes.pop(TURN_FACTOR_FIELD)}
+    elif MULTIPLIER_FIELD in fields:  # a multiplier that no tyre has ends the tyre's interval
+        measured[TURN_FACTOR_FIELD] = None
 
     if in_ros:
         error = 1.0
@@ -251,19 +246,26 @@ def make_calibrated_config(
     return config.with_(**changes, measured=update_measured(config.measured, measured))
 
 
+def _make_table(title: str, columns: Sequence[str]) -> Table:
+    """Return a table whose columns are aligned to the right, but for the first."""
+    table = Table(columns[0], title=title, title_justify="left")
+    for column in columns[1:]:
+        table.add_column(column, justify="right")
+    return table
+
+
 def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
     """Return the fitted fields with their intervals, next to the config's values."""
-    table = Table(title="Calibrated, with 95 % intervals", title_justify="left")
-    for column in ("field", "config", "found", "low", "high"):
-        table.add_column(column, justify="right" if table.columns else "left")
+    title = "Calibrated, with 95 % intervals"
+    table = _make_table(title, ("field", "config", "found", "low", "high"))
 
     for name, interval in fitted_fields(fit, config).items():
-        configured = config.body.turn_factor
-        if name != TURN_FACTOR_FIELD:
-            configured = getattr(config, name)
+        is_tyre = name == TURN_FACTOR_FIELD
+        configured = config.body.turn_factor if is_tyre else getattr(config, name)
         numbers = ("-" if number is None else f"{number:.5f}" for number in (configured, *interval))
         table.add_row(f"{name} [m]" if name == "wheel_radius" else name, *numbers)
 
+    # Residuals above 1 mean that the readings disagree by more than a tape explains.
     lines = [f"{len(fit.runs)} runs, residuals {fit.rms:.1f} times what the readings' scales allow"]
     if fit.rms > 1.0:
         lines.append("Something else moves this robot, so the intervals are wider by as much.")
@@ -277,33 +279,31 @@ def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
 
 
 def runs_table(fit: GeometryFit, config: RobotConfig) -> Table:
-    """Return every run's readings next to odometry, before and after."""
-    table = Table(title="Runs", title_justify="left")
-    for column in ("run", "measured", "odometry before", "after", "off by"):
-        table.add_column(column, justify="right" if table.columns else "left")
-
+    """Return every run's readings next to odometry, with the config's and the fitted geometry."""
+    columns = ("run", "measured", "odometry before", "after", "off by")
+    table = _make_table("Runs", columns)
     separation = config.wheel_separation
+
     for run in fit.runs:
         configured = predict_readings(run, Geometry.of(config), separation)
         calibrated = predict_readings(run, fit.geometry, separation)
         sigmas = reading_sigmas(run, fit.geometry, separation)
         for number, reading in enumerate(run.readings):
             off = reading.value - calibrated[number]
-            mark = ""
-            if abs(off) > 4.0 * sigmas[number]:
-                mark = " !"
-                table.caption = "! off by more than 4 times what its scale allows"
             values = (reading.value, configured[number], calibrated[number], off)
             cells = [reading.format(value) for value in values]
+            if abs(off) > 4.0 * sigmas[number]:
+                cells[3] += " !"
+                table.caption = "! off by more than 4 times what its scale allows"
             name = "" if number else escape_text(run.name)
-            table.add_row(name, f"{reading.kind} {cells[0]}", *cells[1:3], cells[3] + mark)
+            table.add_row(name, f"{reading.kind} {cells[0]}", *cells[1:])
     return table
 
 
 def format_calibration(
     fit: GeometryFit | None, runs: Sequence[CalibrationRun], config: RobotConfig
 ) -> dict[str, Any]:
-    """Return the result for JSON; without a fit, if no run has a reading, nothing is found."""
+    """Return the result for JSON. Without a fit, if no run has a reading, nothing is found."""
     fields = fitted_fields(fit, config) if fit else {}
 
     return {

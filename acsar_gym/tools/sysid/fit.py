@@ -1,9 +1,9 @@
-"""The estimator: motors and board by robust least squares, with what is usual as prior.
+"""The estimator: motors and board by robust least squares, with usual values as priors.
 
 `WHEEL_PARAMETERS` and `BOARD_PARAMETERS` are the table of what is fitted. Priors are residuals like
-any other, so a log that shows nothing of a parameter leaves it at its prior, and its covariance
-tells so. `fit_tracks` reads top to bottom: a coarse search, least squares from a few averaging
-times, the way of rounding, then the covariance.
+any other, so a parameter that a log doesn't show stays at its prior, and so does its covariance.
+`fit_tracks` reads top to bottom: a coarse search, least squares from a few averaging times, the
+kind of rounding, then the covariance.
 """
 
 from __future__ import annotations
@@ -11,48 +11,45 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import require_extra
-from acsar_gym.tools.sysid.board_log import BoardTrack, Floats
+from acsar_gym.errors import AcsarError, require_extra
+from acsar_gym.protocol import WHEELS
+from acsar_gym.recording.types import Floats
+from acsar_gym.tools.sysid.board_log import BoardTrack
 from acsar_gym.tools.sysid.response import BoardModel, Responder, Rounding, WheelModel
 
 with require_extra("identification", "scipy"):
     from scipy import optimize
-
-Bools = NDArray[np.bool_]
 
 
 class Parameter(NamedTuple):
     """A row of the table of what is fitted."""
 
     name: str
-    """Field of the robot's file, of which a ramp is the inverse."""
+    """Field of the robot's file. A ramp is fitted as the inverse of its field."""
     mean: float
-    """What is usual, unless the robot's file is taken for it."""
+    """Usual value, unless the robot's file is taken for it."""
     deviation: float
-    """By how much robots differ from that; of a logarithm, as a share."""
+    """Standard deviation of robots from that value. Of a logarithm, as a share."""
     bounds: tuple[float, float]
     """Least and largest value that a fit tries."""
     step: float
     """Step of its derivative."""
     resolution: float
-    """Least half width of an interval, since the phases of the board's loops move values by so
-    much, whatever a log's length."""
+    """Least half width of an interval for a log of any length, since the phases of the board's
+    loops move values by this."""
     is_log: bool = False
     """Whether the logarithm is fitted."""
+    is_configured: bool = False
+    """Whether the prior's mean is the value of the robot's file."""
     manoeuvre: str = "sudden changes of 4 rad/s or more, each held for 0.3 s"
     """What narrows it."""
-
-    @property
-    def missing(self) -> str:
-        """What is said of it if a log doesn't show it."""
-        return f"not narrowed by this log: drive {self.manoeuvre}"
 
     def to_fit(self, value: float) -> float:
         """Turn a value into the number that is fitted."""
@@ -82,6 +79,7 @@ WHEEL_PARAMETERS = (
         step=2e-3,
         resolution=0.015,
         is_log=True,
+        is_configured=True,
         manoeuvre="a second at 2 rad/s or more",
     ),
     Parameter(
@@ -102,7 +100,7 @@ WHEEL_PARAMETERS = (
         manoeuvre="a slow staircase through zero",
     ),
 )
-"""Of each wheel, as the fields of `WheelModel`."""
+"""Parameters of each wheel, as the fields of `WheelModel`."""
 BOARD_PARAMETERS = (
     Parameter(
         name="firmware.command_delay",
@@ -119,6 +117,7 @@ BOARD_PARAMETERS = (
         bounds=(5e-4, 0.4),
         step=2e-3,
         resolution=0.03,
+        is_configured=True,
     ),
     Parameter(
         name="firmware.command_timeout",
@@ -130,9 +129,9 @@ BOARD_PARAMETERS = (
         manoeuvre="2 s without commands while wheels turn",
     ),
 )
-"""Of all wheels, as the fields of `BoardModel`."""
+"""Parameters of all wheels, as the fields of `BoardModel`."""
 DELAY, WINDOW, TIMEOUT = range(-len(BOARD_PARAMETERS), 0)
-"""Places of the board's numbers in the vector of parameters, behind those of the wheels."""
+"""Places of the board's parameters in the vector of parameters, after those of the wheels."""
 
 SEARCHED_LAGS = (0.03, 0.08, 0.2)
 SEARCHED_SLOWNESSES = (0.005, 0.03)
@@ -143,60 +142,92 @@ SEARCHED_WINDOWS = (0.015, 0.05, 0.1)
 NO_TIMEOUT = 3600.0
 """Time-out of a board that has none [s]."""
 TIMEOUT_GRID = 0.02
-"""Distance of the searched time-outs [s]; nearer than what least squares moves."""
+"""Distance of the searched time-outs [s], which least squares moves by more."""
 LONGEST_TIMEOUT = 5.0
-"""Longest searched time-out [s]: pauses are hardly longer."""
+"""Longest searched time-out [s]. Pauses are hardly longer."""
 LEAST_LOSS_SCALE = 0.1
 """Least residual at which the loss becomes linear [rad/s]: an encoder count, so that a fit finds
-the mean of two counts and not the more frequent one."""
+the mean of two counts and not the more frequent count."""
 CORRELATED_LINES = 5.0
-"""Neighbouring lines that count as one beside the priors."""
+"""Number of neighbouring lines that weigh as much as a single measurement against the priors."""
 NORMAL_MEDIAN = 1.48
 """Standard deviation of a normal distribution by its median size."""
 LEAST_NOISE = 0.003
-"""Two decimals scatter by so much [rad/s]."""
+"""Scatter of numbers with two decimals [rad/s]."""
 RESIDUAL_BLOCK = 0.5
-"""Residuals within such a time and of one wheel may depend on each other [s]."""
+"""Residuals of a wheel within this time may depend on each other [s]."""
 ABOVE_TOP = 1.05
-"""Lines that are faster than this share of the configured top speed show that it isn't the top."""
+"""Lines that are faster than this share of the configured top speed disprove it."""
 LEAST_CUT = 0.1
 """Finer steps hide whether speeds are cut to them or rounded [rad/s]."""
 CLEARLY_LESS = 0.95
 """Share of the cost below which speeds are cut, not rounded."""
 ALIKE = 0.995
-"""Share of a cost that is as good: noise moves costs by so much."""
+"""Share of a cost that counts as equal, since noise moves costs by as much."""
+ANSWER_CORRELATION = 0.5
+"""Least correlation of a wheel's speed with the answer to a command."""
+ANSWER_ADVANTAGE = 0.3
+"""By how much another command must explain a wheel's speed better than the wheel's own command."""
 SEARCH_EVALUATIONS = 10
 EVALUATIONS = 40
-"""Evaluations of the residuals from a starting point, and to the end, at most."""
+"""Largest numbers of evaluations of the residuals, from a starting point and of the final fit."""
 
 
-@dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Tracks of one robot, the wheels that turned, and the model's residuals.
+    """Tracks of a robot, the wheels that turned, and the model's residuals.
 
-    Parameters are one vector: those of each wheel, then the board's.
+    Parameters are a vector: those of each wheel, then the board's.
+
+    Attributes:
+        tracks: Tracks of the robot.
+        wheels: Wheels that turned.
+        rows: Row of the table for each parameter.
+        bounds: Least and largest vector, (2, parameters).
+        responder: Computes the model's answers.
+        configured: Vector of the robot's file.
+        prior: Means of the parameters.
+        deviations: Standard deviations of the priors.
+        held_out: Whether the fit doesn't see a line, for the lines of all tracks.
+
+    Args:
+        tracks: Tracks of the robot.
+        wheels: Wheels that turned.
+        config: Robot configuration.
+        rounding: How speeds are printed.
     """
 
-    tracks: Sequence[BoardTrack]
-    wheels: tuple[int, ...]
-    responder: Responder
-    prior: Floats
-    """Means of the parameters."""
+    def __init__(
+        self,
+        tracks: Sequence[BoardTrack],
+        wheels: Sequence[int],
+        config: RobotConfig,
+        rounding: Rounding,
+    ) -> None:
+        self.tracks = tracks
+        self.wheels = wheels
+        self.rows = WHEEL_PARAMETERS * len(wheels) + BOARD_PARAMETERS
+        self.bounds = np.array([[row.to_fit(end) for end in row.bounds] for row in self.rows]).T
+        self.deviations = np.array([row.deviation for row in self.rows])
+        self.held_out = np.concatenate([track.held_out for track in tracks])
 
-    @property
-    def rows(self) -> tuple[Parameter, ...]:
-        """The row of the table for each parameter."""
-        return WHEEL_PARAMETERS * len(self.wheels) + BOARD_PARAMETERS
+        # Feedback in another unit exceeds the top speed, which is unknown then.
+        top = config.motor.max_speed
+        fastest = max(float(np.abs(track.speeds).max()) for track in tracks)
+        if fastest > ABOVE_TOP * top:
+            top = 1.1 * fastest
+        self.responder = Responder(tracks, 1.0 / config.firmware.loop_rate, top, rounding)
 
-    @property
-    def deviations(self) -> Floats:
-        """Of the priors."""
-        return np.array([row.deviation for row in self.rows])
-
-    @property
-    def held_out(self) -> Bools:
-        """Which lines of all tracks the fit doesn't see."""
-        return np.concatenate([track.held_out for track in self.tracks])
+        # The robot's file is what the fit is compared with, and part of its prior.
+        values: list[float] = []
+        for motor in map(config.motor.of_wheel, wheels):
+            values += (motor.time_constant, motor.gain, 1.0 / motor.acceleration, motor.deadband)
+        board = config.firmware
+        values += (board.command_delay, config.encoder.window, board.command_timeout or NO_TIMEOUT)
+        self.configured = np.array(
+            [row.to_fit(value) for row, value in zip(self.rows, values, strict=True)]
+        )
+        usual = [row.to_fit(row.mean) for row in self.rows]
+        self.prior = np.where([row.is_configured for row in self.rows], self.configured, usual)
 
     def split(self, x: Floats) -> tuple[list[WheelModel], BoardModel]:
         """Name the numbers of a parameter vector."""
@@ -204,43 +235,36 @@ class FitProblem:
         wheels = np.reshape(values[:DELAY], (-1, len(WHEEL_PARAMETERS))).tolist()
         return [WheelModel(*wheel) for wheel in wheels], BoardModel(*values[DELAY:])
 
-    def join(self, wheels: Sequence[WheelModel], times: BoardModel) -> Floats:
-        """Make a parameter vector; values beyond the bounds are moved to them."""
-        values = [*itertools.chain.from_iterable(wheels), *times]
-        return np.array([row.to_fit(value) for row, value in zip(self.rows, values, strict=True)])
-
     def residuals(self, x: Floats) -> Floats:
-        """By how much all lines are off, (wheels, lines) [rad/s]."""
+        """Return the errors of all lines, (wheels, lines) [rad/s]."""
         models, times = self.split(x)
-        return np.array([self.wheel_residuals(k, model, times) for k, model in enumerate(models)])
-
-    def wheel_residuals(self, place: int, model: WheelModel, times: BoardModel) -> Floats:
-        """By how much all lines of one wheel are off [rad/s]."""
-        return self.responder.residuals(self.tracks, self.wheels[place], model, times)
+        pairs = zip(self.wheels, models, strict=True)
+        return np.array([self.responder.residuals(wheel, model, times) for wheel, model in pairs])
 
     def jacobian(self, x: Floats, base: Floats) -> Floats:
-        """Derivatives of the residuals, (wheels, lines, parameters), given these."""
+        """Return the derivatives of these residuals, (wheels, lines, parameters)."""
         columns = np.zeros((*base.shape, len(x)))
         width = len(WHEEL_PARAMETERS)
-        for k in range(len(self.wheels)):
+        for k, wheel in enumerate(self.wheels):
+            # A wheel's residuals depend on its own parameters and on the board's.
             for p in (*range(k * width, (k + 1) * width), DELAY, WINDOW, TIMEOUT):
-                moved = x.copy()
-                moved[p] += self.rows[p].step
-                models, times = self.split(moved)
-                columns[k, :, p] = (
-                    self.wheel_residuals(k, models[k], times) - base[k]
-                ) / self.rows[p].step
+                step = self.rows[p].step
+                models, times = self.split(_with(x, p, x[p] + step))
+                moved = self.responder.residuals(wheel, models[k], times)
+                columns[k, :, p] = (moved - base[k]) / step
         return columns
 
+    def cost(self, x: Floats) -> float:
+        """Return the sum of the errors that a fit sees, which outliers hardly change."""
+        return float(np.abs(self.residuals(x)[:, ~self.held_out]).sum())
+
     def blocks(self) -> NDArray[np.intp]:
-        """Number of the block of time that each line belongs to."""
-        first = 0
-        numbers = []
+        """Return the number of each line's block of time."""
+        numbers = [np.full(1, -1)]
         for track in self.tracks:
             block = ((track.stamps - track.stamps[0]) / RESIDUAL_BLOCK).astype(np.intp)
-            numbers.append(first + block)
-            first += int(block[-1]) + 1
-        return np.concatenate(numbers)
+            numbers.append(numbers[-1][-1] + 1 + block)
+        return np.concatenate(numbers[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,38 +273,15 @@ class MotorFit:
 
     problem: FitProblem
     x: Floats
-    """The parameters."""
+    """Parameters."""
     spread: Floats
-    """Their covariance."""
+    """Covariance of the parameters."""
     slack: Floats
-    """By how much the board's times differ from those of other starting points that fit as well."""
+    """Distance of the board's times from those of other starting points that fit as well."""
     residuals: Floats
-    """By how much all lines are off, (wheels, lines) [rad/s]."""
+    """Errors of all lines, (wheels, lines) [rad/s]."""
     jacobian: Floats
     """Derivatives of the residuals, (wheels, lines, parameters)."""
-
-    @property
-    def wheels(self) -> list[WheelModel]:
-        """Motors of the wheels that turned."""
-        return self.problem.split(self.x)[0]
-
-    @property
-    def times(self) -> BoardModel:
-        """Times of the board."""
-        return self.problem.split(self.x)[1]
-
-
-def configured_wheel(config: RobotConfig, wheel: int) -> WheelModel:
-    """Make the model of one wheel from a robot's configuration."""
-    motor = config.motor.of_wheel(wheel)
-    return WheelModel(motor.time_constant, motor.gain, 1.0 / motor.acceleration, motor.deadband)
-
-
-def configured_times(config: RobotConfig) -> BoardModel:
-    """Make the board's times from a robot's configuration."""
-    board = config.firmware
-    timeout = board.command_timeout or NO_TIMEOUT
-    return BoardModel(board.command_delay, config.encoder.window, timeout)
 
 
 def fit_tracks(
@@ -289,14 +290,18 @@ def fit_tracks(
     """Fit motors and board.
 
     Args:
-        tracks: Tracks of one robot.
-        wheels: Those that turned.
-        config: The robot; gains and averaging time are expected to be nearly its.
+        tracks: Tracks of a robot.
+        wheels: Wheels that turned.
+        config: Robot configuration. Gains and averaging time are expected to be nearly its.
         step: Step of the printed speeds [rad/s].
+
+    Raises:
+        AcsarError: A wheel doesn't answer its own command.
     """
-    problem = make_problem(tracks, wheels, config, Rounding(step))
+    problem = FitProblem(tracks, wheels, config, Rounding(step))
+    check_wheel_order(problem)
     start = _search_start(problem)
-    problem = replace(problem, prior=_with(problem.prior, TIMEOUT, start[TIMEOUT]))
+    problem.prior[TIMEOUT] = start[TIMEOUT]
 
     # The cost is flat along averaging times with the same middle, and has several minima.
     best = _solve(problem, start, EVALUATIONS)
@@ -305,86 +310,100 @@ def fit_tracks(
         delay = best[DELAY] + (best[WINDOW] - window) / 2.0
         moved = _with(_with(best, WINDOW, window), DELAY, max(0.0, delay))
         fits.append(_solve(problem, moved, SEARCH_EVALUATIONS))
-    best = min(fits, key=lambda x: _cost(problem, x))
+    best = min(fits, key=problem.cost)
+
+    # Boards that compute in integers cut their speeds to coarse steps.
     if step > LEAST_CUT:
-        cuts = replace(problem, responder=replace(problem.responder, rounding=Rounding(step, True)))
+        cuts = FitProblem(tracks, wheels, config, Rounding(step, is_cut=True))
+        cuts.prior = problem.prior
         cut = _solve(cuts, best, SEARCH_EVALUATIONS)
-        if _cost(cuts, cut) < CLEARLY_LESS * _cost(problem, best):
+        if cuts.cost(cut) < CLEARLY_LESS * problem.cost(best):
             problem = cuts
             best = cut
-    x = _solve(problem, best, EVALUATIONS)
-    similar = [x, *(near for near in fits if ALIKE * _cost(problem, near) < _cost(problem, x))]
 
+    # The best start is fitted to the end. Others that fit as well widen the intervals of times.
+    x = _solve(problem, best, EVALUATIONS)
+    alike = [x, *(fit for fit in fits if ALIKE * problem.cost(fit) < problem.cost(x))]
+    slack = np.abs(np.array(alike) - x).max(axis=0)
+    slack[:DELAY] = 0.0
     residuals = problem.residuals(x)
     jacobian = problem.jacobian(x, residuals)
     spread = _estimate_spread(problem, residuals, jacobian)
-    slack = np.abs(np.array(similar) - x).max(axis=0)
-    slack[:DELAY] = 0.0
     return MotorFit(problem, x, spread, slack, residuals=residuals, jacobian=jacobian)
 
 
-def make_problem(
-    tracks: Sequence[BoardTrack], wheels: Sequence[int], config: RobotConfig, rounding: Rounding
-) -> FitProblem:
-    """Make the problem of a robot with this loop rate and top speed.
+def check_wheel_order(problem: FitProblem) -> None:
+    """Check that the speeds of each wheel are like a usual wheel's answer to its own command.
 
-    Feedback in another unit exceeds the top speed, and then nothing is known of that.
+    Raises:
+        AcsarError: A wheel turns backward, or answers another wheel's command.
     """
-    fastest = max(float(np.abs(track.speeds).max()) for track in tracks)
-    top = config.motor.max_speed
-    if fastest > ABOVE_TOP * top:
-        top = 1.1 * fastest
-    responder = Responder(1.0 / config.firmware.loop_rate, top, rounding)
-    problem = FitProblem(tracks, tuple(wheels), responder, np.empty(0))
-    usual = WheelModel(*(row.mean for row in WHEEL_PARAMETERS))
-    models = [usual._replace(gain=configured_wheel(config, wheel).gain) for wheel in wheels]
-    times = BoardModel(*(row.mean for row in BOARD_PARAMETERS))
-    return replace(
-        problem, prior=problem.join(models, times._replace(window=config.encoder.window))
-    )
+    advice = "run 'acsar-gym doctor DEVICE --spin --out FILE' first, and give the file as --robot"
+    if problem.tracks[0].in_ros:
+        advice = "name the joints in the order a, b, c, d in ros2.joints of the robot's file"
+    advice += "; nothing was fitted"
+
+    # The answers of a usual wheel to all commands, compared with the speeds of each wheel.
+    models, times = problem.split(problem.prior)
+    speeds = np.concatenate([track.speeds for track in problem.tracks])
+    answers = [problem.responder.answers(wheel, models[0], times) for wheel in range(len(WHEELS))]
+    sizes = np.sqrt(np.outer((speeds**2).sum(axis=0), np.square(answers).sum(axis=1)))
+    correlations = speeds.T @ np.transpose(answers) / np.maximum(sizes, 1e-9)
+    for wheel in problem.wheels:
+        row = correlations[wheel]
+        best = int(np.argmax(np.abs(row)))
+        if abs(row[best]) > max(ANSWER_CORRELATION, abs(row[wheel]) + ANSWER_ADVANTAGE):
+            way = " backward" if row[best] < 0.0 else ""
+            raise AcsarError(f"{WHEELS[wheel]} answers {WHEELS[best]}'s command{way}: {advice}")
+        if row[wheel] < -ANSWER_CORRELATION:
+            raise AcsarError(f"{WHEELS[wheel]} turns backward at forward commands: {advice}")
 
 
 def _with(x: Floats, place: int, value: float) -> Floats:
+    """Return a copy of a vector with another number at a place."""
     moved = x.copy()
     moved[place] = value
     return moved
 
 
-def _cost(problem: FitProblem, x: Floats) -> float:
-    """Sum of the sizes of the residuals that a fit sees, which outliers hardly change."""
-    return float(np.abs(problem.residuals(x)[:, ~problem.held_out]).sum())
-
-
 def _search_start(problem: FitProblem) -> Floats:
     """Search delay, lags and deadbands on a grid, then the time-out."""
-    models, times = problem.split(problem.prior)
-    times = times._replace(timeout=NO_TIMEOUT)
-    starts: list[tuple[float, float, list[WheelModel]]] = []
+    width = len(WHEEL_PARAMETERS)
+    best = math.inf
+    chosen = problem.prior
     for delay in SEARCHED_DELAYS.tolist():
-        times = times._replace(delay=delay)
+        x = _with(_with(problem.prior, TIMEOUT, NO_TIMEOUT), DELAY, delay)
+        models, times = problem.split(x)
         wheels = [_search_wheel(problem, k, model, times) for k, model in enumerate(models)]
-        starts.append((sum(cost for cost, _ in wheels), delay, [model for _, model in wheels]))
-    _, delay, models = min(starts)
-    x = problem.join(models, times._replace(delay=delay))
+        for k, (_, model) in enumerate(wheels):
+            x[k * width : (k + 1) * width] = [
+                row.to_fit(value) for row, value in zip(WHEEL_PARAMETERS, model, strict=True)
+            ]
+        if (cost := sum(cost for cost, _ in wheels)) < best:
+            best = cost
+            chosen = x
 
+    # Least squares doesn't find a time-out from far away, as it changes few lines.
     longest = max(track.longest_pause for track in problem.tracks)
     timeouts = np.arange(TIMEOUT_GRID, min(longest, LONGEST_TIMEOUT), TIMEOUT_GRID).tolist()
-    tried = [_with(x, TIMEOUT, timeout) for timeout in (NO_TIMEOUT, *timeouts)]
-    return min(tried, key=lambda start: _cost(problem, start))
+    tried = [_with(chosen, TIMEOUT, timeout) for timeout in (NO_TIMEOUT, *timeouts)]
+    return min(tried, key=problem.cost)
 
 
 def _search_wheel(
     problem: FitProblem, place: int, model: WheelModel, times: BoardModel
 ) -> tuple[float, WheelModel]:
-    """Search lag and deadband of one wheel; its gain is linear. Returns the cost, too."""
-    chosen = ~problem.held_out
+    """Search lag and deadband of a wheel, whose gain is linear. Returns the cost as well."""
+    fitted = ~problem.held_out
     wheel = problem.wheels[place]
-    printed = np.concatenate([track.speeds[:, wheel] for track in problem.tracks])[chosen]
+    printed = np.concatenate([track.speeds[:, wheel] for track in problem.tracks])[fitted]
     candidates = []
     searched = itertools.product(SEARCHED_LAGS, SEARCHED_SLOWNESSES, SEARCHED_DEADBANDS)
     for lag, slowness, deadband in searched:
         tried = model._replace(lag=lag, slowness=slowness, deadband=deadband)
-        answer = problem.wheel_residuals(place, tried, times)[chosen] + printed
+        answer = problem.responder.answers(wheel, tried, times)[fitted]
+
+        # The best gain is that of a straight line through the origin.
         factor = float(answer @ printed) / max(float(answer @ answer), 1e-9)
         cost = float(np.abs(factor * answer - printed).sum())
         candidates.append((cost, tried._replace(gain=factor * model.gain)))
@@ -393,21 +412,23 @@ def _search_wheel(
 
 def _solve(problem: FitProblem, start: Floats, evaluations: int) -> Floats:
     """Fit all parameters by robust least squares."""
-    chosen = ~problem.held_out
-    errors = problem.residuals(start)[:, chosen]
+    fitted = ~problem.held_out
+
+    # Outliers such as damaged lines count less. Their scale comes from the start.
+    errors = problem.residuals(start)[:, fitted]
     scale = _loss_scale(errors)
     noise = NORMAL_MEDIAN * float(np.median(np.abs(errors)))
     weight = 1.0 / (scale * math.sqrt(CORRELATED_LINES))
     deviations = problem.deviations * max(1.0, scale / max(noise, LEAST_NOISE))
-    low, high = np.array([[row.to_fit(end) for end in row.bounds] for row in problem.rows]).T
+    low, high = problem.bounds
 
     def residuals(x: Floats) -> Floats:
-        lines = problem.residuals(x)[:, chosen].ravel() * weight
+        lines = problem.residuals(x)[:, fitted].ravel() * weight
         return np.append(lines, (x - problem.prior) / deviations)
 
     def jacobian(x: Floats) -> Floats:
-        base = problem.residuals(x)
-        lines = problem.jacobian(x, base)[:, chosen].reshape(-1, len(x)) * weight
+        columns = problem.jacobian(x, problem.residuals(x))
+        lines = columns[:, fitted].reshape(-1, len(x)) * weight
         return np.vstack((lines, np.diag(1.0 / deviations)))
 
     result = optimize.least_squares(
@@ -427,31 +448,29 @@ def _solve(problem: FitProblem, start: Floats, evaluations: int) -> Floats:
 
 
 def _loss_scale(residuals: Floats) -> float:
-    """Residual at which the loss becomes linear [rad/s]."""
+    """Return the residual at which the loss becomes linear [rad/s]."""
     return max(LEAST_LOSS_SCALE, 1.5 * float(np.median(np.abs(residuals))))
 
 
 def _estimate_spread(problem: FitProblem, residuals: Floats, jacobian: Floats) -> Floats:
-    """Covariance of the parameters, with residuals that depend on each other in blocks.
+    """Return the covariance of the parameters for residuals that depend on each other in blocks.
 
     Residuals of quantized, averaged speeds are correlated, so it is that of blocks (the
-    "sandwich"). What no line shows has the prior's.
+    "sandwich"). A parameter that no line shows has the prior's.
     """
-    chosen = ~problem.held_out
-    errors = residuals[:, chosen].ravel()
-    columns = jacobian[:, chosen].reshape(len(errors), -1)
-    scale = _loss_scale(errors)
-    weights = 1.0 / np.sqrt(1.0 + (errors / scale) ** 2)  # of soft_l1
+    fitted = ~problem.held_out
+    errors = residuals[:, fitted].ravel()
+    columns = jacobian[:, fitted].reshape(len(errors), -1)
+    weights = 1.0 / np.sqrt(1.0 + (errors / _loss_scale(errors)) ** 2)  # of soft_l1
 
     blocks = problem.blocks()
-    numbers = np.arange(len(problem.wheels))[:, None] * (blocks.max() + 1) + blocks[chosen]
+    numbers = np.arange(len(problem.wheels))[:, None] * (blocks.max() + 1) + blocks[fitted]
     scores = np.zeros((int(numbers.max()) + 1, columns.shape[1]))
     np.add.at(scores, numbers.ravel(), columns * (weights * errors)[:, None])
-    meat = scores.T @ scores
 
     # The prior counts as much as lines do whose noise is that of the residuals.
     variance = float(np.mean((weights * errors) ** 2)) * CORRELATED_LINES
     prior = np.diag(variance / problem.deviations**2)
     curvature = columns.T @ (columns * weights[:, None] ** 3) + prior
     bread = np.linalg.inv(curvature)
-    return np.asarray(bread @ (meat + variance * prior) @ bread)
+    return np.asarray(bread @ (scores.T @ scores + variance * prior) @ bread)

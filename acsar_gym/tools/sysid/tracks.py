@@ -10,16 +10,15 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.odometry import Odometry
-from acsar_gym.recording.types import Episode, Recording, WireLog
+from acsar_gym.recording.types import Episode, Floats, Recording, WireLog
 from acsar_gym.tools.evaluation.episode import read_true_poses
-from acsar_gym.tools.sysid.board_log import Floats
 from acsar_gym.tools.sysid.twin_replay import replay_commands
 from acsar_gym.worlds.world import to_odometry
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeTrack:
-    """One side of an episode, on the clock of its recording; k feedback lines, n ticks."""
+    """A side of an episode, on the clock of its recording: k feedback lines, n ticks."""
 
     feedback_stamps: Floats
     """(k,) times at which feedback lines arrived [s]."""
@@ -30,7 +29,7 @@ class EpisodeTrack:
     odometry: Floats
     """(n, 3) x [m], y [m], theta [rad, unwrapped] by odometry, from the origin on."""
     truth: Floats
-    """(n, 3) true pose, likewise from the origin on; NaN on hardware."""
+    """(n, 3) true pose, likewise from the origin on. NaN on hardware."""
 
     @property
     def known(self) -> bool:
@@ -39,14 +38,15 @@ class EpisodeTrack:
 
     @property
     def poses(self) -> Floats:
-        """(n, 3) the best that is known of where the robot was: the truth, or odometry."""
+        """(n, 3) the true poses, or odometry if they are unknown."""
         return self.truth if self.known else self.odometry
 
 
 def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:
-    """Make the track of a recorded episode; odometry is computed again, with `config`."""
+    """Make the track of a recorded episode, with odometry by `config`."""
     truth = episode.truth
     if len(truth) and np.isfinite(truth).all():
+        # From the origin of the episode's odometry on, as twins start there.
         start = episode.info.get("start", tuple(truth[0].tolist()))
         truth = np.array([to_odometry(start, tuple(pose)) for pose in truth.tolist()])
         truth[:, 2] = np.unwrap(truth[:, 2])
@@ -56,7 +56,7 @@ def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:
 def make_twin_track(
     episode: Episode, config: RobotConfig, *, twin: RobotConfig, body: str
 ) -> EpisodeTrack:
-    """Make the track of a twin that gets the recorded commands; odometry is by `config`."""
+    """Make the track of a twin that gets the recorded commands, with odometry by `config`."""
     done = replay_commands(twin, episode.wire, episode.stamps, body=body)
     return _make_track(done.wire, episode.stamps, done.poses, config)
 
@@ -64,6 +64,8 @@ def make_twin_track(
 def _make_track(wire: WireLog, stamps: Floats, truth: Floats, config: RobotConfig) -> EpisodeTrack:
     """Decode the wire, and integrate its feedback lines by the driver's odometry."""
     lines, speeds = wire.feedback(config)
+
+    # The same odometry for both sides, so that only the wheels' speeds differ.
     odometry = Odometry.of(config)
     newest = float(stamps[0]) - config.period if len(stamps) else 0.0
     twists = np.zeros((len(lines), 2))
@@ -82,7 +84,7 @@ def _make_track(wire: WireLog, stamps: Floats, truth: Floats, config: RobotConfi
 
 
 def interpolate(wanted: Floats, stamps: Floats, values: Floats) -> Floats:
-    """Interpolate rows linearly; NaN if there are none."""
+    """Interpolate rows linearly. NaN if there are none."""
     if not len(stamps):
         return np.full((len(wanted), values.shape[1]), np.nan)
     return np.column_stack([np.interp(wanted, stamps, column) for column in values.T])
@@ -102,6 +104,8 @@ def add_truth(recording: Recording, log: Path) -> Recording:
     for place, episode in enumerate(episodes):
         if not len(episode.stamps) or np.isfinite(episode.truth).any():
             continue
+
+        # The reset counts as well, since the truth starts there.
         when = np.append(episode.stamps[0] - recording.config.period, episode.stamps)
         if stamps[0] <= when[0] and when[-1] <= stamps[-1]:
             truth = interpolate(when, stamps, poses)

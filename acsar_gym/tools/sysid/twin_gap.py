@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -12,10 +12,10 @@ from rich.table import Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording.types import Episode, Recording
+from acsar_gym.recording.types import Episode, Floats, Recording
 from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
 from acsar_gym.tools.evaluation.report import escape_text
-from acsar_gym.tools.sysid.board_log import Floats, resend_twists
+from acsar_gym.tools.sysid.board_log import resend_twists
 from acsar_gym.tools.sysid.pairs import check_same_robot, find_difference
 from acsar_gym.tools.sysid.tracks import (
     EpisodeTrack,
@@ -30,8 +30,7 @@ TIME_SHIFTS = np.arange(-0.2, 0.2001, 0.001)
 MOVING_SPEED = 0.2
 """Wheels that never differ by more than this from their mean don't show a time shift [rad/s]."""
 TWIN_SIDES = ("before", "after")
-GAP_COLUMNS = ("figure", "unit", "before", "after", "95 % interval", "after / before")
-LOG_COLUMNS = ("log", "use", "duration", "wheel speeds", "end position", "against")
+"""The unfitted and the fitted twin."""
 NOTED_PAUSE = 0.1
 """Longer pauses between commands are noted [s]."""
 SHORTEST_EPISODE = 1.0
@@ -40,16 +39,16 @@ LONGEST_EPISODE = 4.0 * 3600.0
 
 
 class GapMetric(NamedTuple):
-    """One figure of the gap: what it is called, and how it is shown."""
+    """A figure of the gap: its name, and how it is shown."""
 
     label: str
     unit: str
     scale: float
     """Factor from SI to the unit."""
     resolution: float
-    """Smaller values are nothing that a log shows, in SI units."""
+    """Smaller values don't show in a log, in SI units."""
     rms: bool = False
-    """Whether it is a root mean square, and pooled as one; otherwise a mean of sizes."""
+    """Whether it is pooled as a root mean square. Otherwise it is a mean of sizes."""
 
 
 GAP_METRICS = {
@@ -64,7 +63,7 @@ GAP_METRICS = {
 }
 """The figures by name, in SI units."""
 GapFigures = dict[str, float]
-"""Values of GAP_METRICS in SI units; NaN for what a log doesn't show."""
+"""Values of GAP_METRICS in SI units. NaN for a figure that a log doesn't show."""
 
 
 def measure_figures(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -> GapFigures:
@@ -77,8 +76,9 @@ def measure_figures(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -
 
     Returns:
         A value for every metric, in SI units. `time_shift` is positive if the recorded robot is
-        later than the twin; the others are sizes.
+        later than the twin. All other figures are sizes.
     """
+    # Delays by this computer aren't part of the robot.
     stamps = remove_jitter(recorded.feedback_stamps, period)
     twin_stamps = remove_jitter(twin.feedback_stamps, period)
     twists = recorded.twists - interpolate(stamps, twin_stamps, twin.twists)
@@ -99,12 +99,12 @@ def measure_figures(recorded: EpisodeTrack, twin: EpisodeTrack, period: float) -
 
 
 def _rms(values: Floats) -> float:
-    """The root mean square; NaN without values."""
+    """Return the root mean square. NaN without values."""
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else math.nan
 
 
 def _end_distance(poses: Floats, twin_poses: Floats) -> float:
-    """The distance of the last positions [m]; NaN if there are none."""
+    """Return the distance of the last positions [m]. NaN if there are none."""
     if not len(poses) or not len(twin_poses):
         return math.nan
     return float(np.hypot(*(poses[-1, :2] - twin_poses[-1, :2])))
@@ -138,10 +138,11 @@ def pool_figures(rows: Sequence[GapFigures], weights: Sequence[float]) -> GapFig
 
     Args:
         rows: Figures of each episode.
-        weights: Their durations [s], for root mean squares; the others are means over episodes.
+        weights: Their durations [s], for root mean squares. Other figures are means over episodes.
     """
     pooled = {}
     for name, metric in GAP_METRICS.items():
+        # A log may lack a figure, such as the shift of wheels that hardly move.
         values = np.array([row[name] for row in rows])
         finite = np.isfinite(values)
         if not finite.any():
@@ -156,7 +157,7 @@ def pool_figures(rows: Sequence[GapFigures], weights: Sequence[float]) -> GapFig
 
 @dataclass(frozen=True, eq=False)
 class EpisodeReplay:
-    """One recorded episode, and how far both twins are from it."""
+    """A recorded episode, and how far both twins are from it."""
 
     log: str
     episode: int
@@ -165,7 +166,7 @@ class EpisodeReplay:
     seconds: float
     recorded: EpisodeTrack
     figures: Mapping[str, GapFigures]
-    """By side: "before" and "after"."""
+    """Figures of each of `TWIN_SIDES`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,9 +174,9 @@ class TwinGap:
     """The gaps of all logs."""
 
     robot: str
-    """What the fitted twin was made of."""
+    """Name of the fitted robot."""
     before: str
-    """What the unfitted twin was made of."""
+    """Name of the unfitted robot."""
     body: str
     replays: tuple[EpisodeReplay, ...]
     notes: tuple[str, ...]
@@ -196,7 +197,7 @@ class TwinGap:
         return pool_figures([r.figures[side] for r in judged], [r.seconds for r in judged])
 
     def intervals(self, side: str) -> dict[str, Interval]:
-        """Return bootstrap intervals of the means over the judged episodes; NaN for one."""
+        """Return bootstrap intervals of the means over the judged episodes."""
         rows = [replay.figures[side] for replay in self.judged]
         return {name: bootstrap_interval([row[name] for row in rows]) for name in GAP_METRICS}
 
@@ -212,131 +213,117 @@ def measure_gap(
     Args:
         logs: Names and recordings.
         robot: Name and config of the fitted twin.
-        before: Name and config of the unfitted one.
+        before: Name and config of the unfitted twin.
         body: Physics of both, such as "planar".
 
     Raises:
-        ConfigError: the logs are of different robots, or hold nothing that can be compared.
+        ConfigError: The logs are of different robots, or contain nothing that can be compared.
     """
     check_same_robot(logs, "compare logs of")
     config = robot[1]
-    fitted_on = {
-        *config.motor_fit_logs,
-        *(log for measured in config.measured.values() for log in measured.logs),
-    }
-    notes = _note_limits(logs, robot, before, known=bool(fitted_on))
+
+    # Logs that the robot's file names can't show how good it is.
+    fitted_logs = set(config.motor_fit_logs).union(
+        *(interval.logs for interval in config.measured.values())
+    )
+    notes = [f"{name}: {side.misfit}" for name, side in (robot, before) if side.misfit]
+    for name, recording in logs:
+        notes += _note_limits(name, recording, robot, has_logs=bool(fitted_logs))
 
     replays = []
     for log, recording in logs:
         for number, episode in enumerate(recording.episodes):
-            if why := _find_unusable(episode, config):
-                notes.append(f"{log} #{number}: left out, {why}")
+            if reason := _find_unusable(episode, config):
+                notes.append(f"{log} #{number}: left out, {reason}")
                 continue
             pause = float(np.diff(episode.wire.sent_stamps).max(initial=0.0))
             if pause > NOTED_PAUSE:
                 notes.append(f"{log} #{number}: no command was sent for {pause:.2f} s")
+
+            # A controller in ROS makes wheel speeds of twists, by the geometry of the robot's file.
             wire = resend_twists(episode.wire, recording.config, config)
-            recorded, figures = _replay(replace(episode, wire=wire), config, before[1], body)
+            resent = replace(episode, wire=wire)
+            recorded = make_recorded_track(resent, config)
             replay = EpisodeReplay(
                 log=log,
                 episode=number,
-                fitted=not fitted_on.isdisjoint(recording.sources),
+                fitted=not fitted_logs.isdisjoint(recording.sources),
                 seconds=float(episode.stamps[-1] - episode.stamps[0]),
                 recorded=recorded,
-                figures=figures,
+                figures={
+                    side: _measure_twin(resent, recorded, config, twin=twin, body=body)
+                    for side, twin in zip(TWIN_SIDES, (before[1], config), strict=True)
+                },
             )
             replays.append(replay)
 
     if not replays:
         raise ConfigError(notes[-1] if notes else f"{logs[0][0]}: holds no episode")
+    if not all(replay.recorded.known for replay in replays):
+        notes.append(
+            "positions without a recorded true pose are by odometry of both, computed from the "
+            f"wheel speeds with the geometry of {robot[0]}"
+        )
     if all(replay.fitted for replay in replays):
         notes.append("the robot was fitted to all of these logs: none is held out")
     return TwinGap(robot[0], before[0], body, tuple(replays), tuple(notes))
 
 
-def _replay(
-    episode: Episode, config: RobotConfig, before: RobotConfig, body: str
-) -> tuple[EpisodeTrack, dict[str, GapFigures]]:
-    """Replay one episode through both twins."""
-    recorded = make_recorded_track(episode, config)
-    figures = {}
-    for side, twin in zip(TWIN_SIDES, (before, config), strict=True):
-        track = make_twin_track(episode, config, twin=twin, body=body)
-        if not recorded.known:  # then the odometry of both is compared
-            track = replace(track, truth=np.full_like(track.truth, np.nan))
-        figures[side] = measure_figures(recorded, track, 1.0 / config.feedback_rate)
-    return recorded, figures
+def _measure_twin(
+    episode: Episode, recorded: EpisodeTrack, config: RobotConfig, *, twin: RobotConfig, body: str
+) -> GapFigures:
+    """Replay an episode through a twin. Without a recorded truth, the odometry is compared."""
+    track = make_twin_track(episode, config, twin=twin, body=body)
+    if not recorded.known:
+        track = replace(track, truth=np.full_like(track.truth, np.nan))
+    return measure_figures(recorded, track, 1.0 / config.feedback_rate)
 
 
 def _note_limits(
-    logs: Sequence[tuple[str, Recording]],
-    robot: tuple[str, RobotConfig],
-    before: tuple[str, RobotConfig],
-    *,
-    known: bool,
-) -> list[str]:
-    """Say what limits the comparison; `known`: whether the robot's file names logs."""
-    notes = [f"{name}: {side.misfit}" for name, side in (robot, before) if side.misfit]
-    for name, recording in logs:
-        if recording.cut:
-            note = f"{name}: its end is missing; the rest was used"
-            if known:
-                note += f", as held out, although {robot[0]} may be fitted to the whole of it"
-            notes.append(note)
-        if recording.dropped:
-            notes.append(f"{name}: {recording.dropped:,} ticks are missing")
-        if recording.damages:
-            notes.append(f"{name}: {recording.describe_damage()}")
-        difference = find_difference(recording.config, robot[1], wire=True)
-        if difference is not None:
-            field, recorded, fitted = difference
-            notes.append(f"{name}: recorded with {field} = {recorded}, {robot[0]}: {fitted}")
-
-    episodes = [episode for _, recording in logs for episode in recording.episodes]
-    if not all(np.isfinite(episode.truth).all() for episode in episodes):
-        notes.append(
-            "positions without a recorded true pose are by odometry of both, computed from the "
-            f"wheel speeds with the geometry of {robot[0]}"
-        )
-    return notes
+    name: str, recording: Recording, robot: tuple[str, RobotConfig], *, has_logs: bool
+) -> Iterator[str]:
+    """Yield what limits a comparison. `has_logs`: Whether the robot's file names its logs."""
+    if recording.cut:
+        held_out = f", as held out, although {robot[0]} may be fitted to the whole of it"
+        yield f"{name}: its end is missing; the rest was used{held_out if has_logs else ''}"
+    if recording.dropped:
+        yield f"{name}: {recording.dropped:,} ticks are missing"
+    if recording.damages:
+        yield f"{name}: {recording.describe_damage()}"
+    if difference := find_difference(recording.config, robot[1]):
+        field, recorded, fitted = difference
+        yield f"{name}: recorded with {field} = {recorded}, {robot[0]}: {fitted}"
 
 
 def _find_unusable(episode: Episode, config: RobotConfig) -> str:
-    """Say why an episode can't be replayed; empty if it can."""
+    """Return why an episode can't be replayed. Empty if it can."""
     wire = episode.wire
-    times = [t for t in (episode.stamps, wire.sent_stamps, wire.got_stamps) if len(t)]
-    lasts = float(np.ptp(episode.stamps)) if len(episode.stamps) else 0.0
-    ascending = all(
-        np.isfinite(stamps).all() and (np.diff(stamps) >= 0.0).all() for stamps in times
-    )
-
-    if not (ascending and np.isfinite(episode.poses).all()):
-        return "its times go backwards, or its odometry isn't finite: the file is damaged"
-    if lasts < SHORTEST_EPISODE - 2.0 * config.period:
-        return f"holds less than {SHORTEST_EPISODE:g} s"
-    if max(stamps[-1] for stamps in times) - min(stamps[0] for stamps in times) > LONGEST_EPISODE:
-        return f"is longer than {LONGEST_EPISODE / 3600.0:g} h"
+    times = (episode.stamps, wire.sent_stamps, wire.got_stamps)
+    if not all((np.diff(stamps) >= 0.0).all() for stamps in times):
+        return "its times go backwards: the file is damaged"
     if not len(wire.sent_stamps) or len(wire.feedback(config)[0]) < 3:
         return "holds no commands, or no feedback"
+    if not len(episode.stamps) or np.ptp(episode.stamps) < SHORTEST_EPISODE - 2.0 * config.period:
+        return f"holds less than {SHORTEST_EPISODE:g} s"
+    if np.ptp([stamps[place] for stamps in times for place in (0, -1)]) > LONGEST_EPISODE:
+        return f"is longer than {LONGEST_EPISODE / 3600.0:g} h"
     return ""
 
 
 def conclude_gap(gap: TwinGap) -> str:
-    """Say in a line how far the twin is from the robot."""
+    """State in a line how far the twin is from the robot."""
     judged = gap.judged
     seconds = sum(replay.seconds for replay in judged)
     kind = "held-out" if gap.held_out else "fitted"
-    unfitted, fitted = (gap.figures(side) for side in TWIN_SIDES)
-    wheels, ends = (
-        f"from {unfitted[name] * scale:.2f} to {fitted[name] * scale:.2f}"
-        for name, scale in (("wheel_speed_rms", 1.0), ("end_pose", 100.0))
-    )
     episodes = f"{len(judged)} {kind} episode{'s' * (len(judged) != 1)}, {seconds:.0f} s"
-    return f"{episodes}: wheel speeds {wheels} rad/s RMS, position at the end {ends} cm"
+    unfitted, fitted = (gap.figures(side) for side in TWIN_SIDES)
+    wheels = f"{unfitted['wheel_speed_rms']:.2f} to {fitted['wheel_speed_rms']:.2f} rad/s RMS"
+    ends = f"{100.0 * unfitted['end_pose']:.2f} to {100.0 * fitted['end_pose']:.2f} cm"
+    return f"{episodes}: wheel speeds from {wheels}, position at the end from {ends}"
 
 
 def _format_cell(value: float, scale: float = 1.0) -> str:
-    """Format a number with three digits; "-" for NaN."""
+    """Format a number with three digits. "-" for NaN."""
     if math.isnan(value):
         return "-"
     return "0" if abs(value * scale) < 1e-6 else f"{value * scale:.3g}"
@@ -346,23 +333,27 @@ def gap_tables(gap: TwinGap) -> list[Table]:
     """Make the tables of a gap: figures, and the logs."""
     kind = "held-out logs" if gap.held_out else "logs that the robot was fitted to"
     title = f"Gap of {gap.robot} (before: {gap.before}) on {kind}, twin: {gap.body}"
-    figures = Table(title=escape_text(title), title_justify="left")
-    for name in GAP_COLUMNS:
-        figures.add_column(name, justify="left" if name in ("figure", "unit") else "right")
+
+    # The figures of both twins.
+    figures = Table("figure", "unit", title=escape_text(title), title_justify="left")
+    for name in ("before", "after", "95 % interval", "after / before"):
+        figures.add_column(name, justify="right")
     unfitted, fitted = (gap.figures(side) for side in TWIN_SIDES)
     intervals = gap.intervals("after")
     for name, metric in GAP_METRICS.items():
         ratio = "-"  # if there was nothing to lose
         if math.isfinite(fitted[name]) and abs(unfitted[name]) >= metric.resolution:
             ratio = f"{abs(fitted[name] / unfitted[name]):.1%}"
-        ends = [_format_cell(end, metric.scale) for end in intervals[name]]
-        interval = "" if math.isnan(intervals[name][0]) else " to ".join(ends)
-        cells = [_format_cell(side[name], metric.scale) for side in (unfitted, fitted)]
-        figures.add_row(metric.label, metric.unit, *cells, interval, ratio)
+        numbers = (unfitted[name], fitted[name], *intervals[name])
+        low_to_high = [_format_cell(number, metric.scale) for number in numbers]
+        interval = "" if math.isnan(intervals[name][0]) else " to ".join(low_to_high[2:])
+        figures.add_row(metric.label, metric.unit, *low_to_high[:2], interval, ratio)
 
-    logs = Table(title="Each episode, before -> after", title_justify="left")
-    for name in LOG_COLUMNS:
-        logs.add_column(name, justify="right" if name == "duration" else "left")
+    # Both twins for each episode.
+    logs = Table("log", "use", title="Each episode, before -> after", title_justify="left")
+    logs.add_column("duration", justify="right")
+    for name in ("wheel speeds", "end position", "against"):
+        logs.add_column(name)
     for replay in gap.replays:
         speeds, positions = (
             " -> ".join(_format_cell(replay.figures[side][name], scale) for side in TWIN_SIDES)
@@ -376,11 +367,7 @@ def gap_tables(gap: TwinGap) -> list[Table]:
 
 
 def format_gap(gap: TwinGap) -> dict[str, Any]:
-    """Return the gap for JSON, in SI units; what isn't known is null."""
-    sides = {
-        side: {"figures": gap.figures(side), "intervals": gap.intervals(side)}
-        for side in TWIN_SIDES
-    }
+    """Return the gap for JSON, in SI units. An unknown figure is null."""
     logs = [
         {
             "log": replay.log,
@@ -398,10 +385,11 @@ def format_gap(gap: TwinGap) -> dict[str, Any]:
         "unfitted": gap.before,
         "body": gap.body,
         "held_out": gap.held_out,
-        **sides,
         "logs": logs,
         "notes": list(gap.notes),
         "conclusion": conclude_gap(gap),
     }
+    for side in TWIN_SIDES:
+        document[side] = {"figures": gap.figures(side), "intervals": gap.intervals(side)}
     formatted: dict[str, Any] = replace_nonfinite(document)
     return formatted

@@ -54,6 +54,8 @@ def replay_commands(
     robot = make_body(body, config)
     try:
         firmware = Firmware(config, robot)
+
+        # Without a wire in the log, the wire of the twin is taken off.
         wire = config.wire_time if log.stamped else 0.0
         origin = _find_origin(config, firmware, log, wire)
         now = origin
@@ -119,6 +121,8 @@ def remove_jitter(stamps: Floats, period: float) -> Floats:
 
     if len(stamps) < JITTER_WINDOW:
         return stamps
+
+    # The configured period is a guess if lines come at another rate.
     step = float(np.median(np.diff(stamps)))
     if abs(step - period) > 0.1 * period:
         step = period
@@ -126,6 +130,8 @@ def remove_jitter(stamps: Floats, period: float) -> Floats:
     half = JITTER_WINDOW // 2
     durations = stamps[half:] - stamps[:-half]  # some of its lines may be lost
     step = float(np.median(durations / np.maximum(1.0, np.rint(durations / step))))
+
+    # The mean phase of a window follows a clock that drifts.
     turns = stamps / step
     waves = np.exp(2j * np.pi * turns)
     real = uniform_filter1d(waves.real, JITTER_WINDOW, mode="nearest")
@@ -133,6 +139,7 @@ def remove_jitter(stamps: Floats, period: float) -> Floats:
     deviations = turns - np.arctan2(imaginary, real) / (2.0 * np.pi)
     deviations = (deviations - np.rint(deviations)) * step
 
+    # The earliest lines of a window were hardly late. All others are compared with them.
     ranked = rank_filter(deviations, JITTER_RANK, JITTER_WINDOW, mode="nearest")
     late = deviations - uniform_filter1d(ranked, JITTER_WINDOW)
     late = np.where(late < -PERIODIC_SHARE * step, late + step, late)  # by more than half a period

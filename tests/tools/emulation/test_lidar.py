@@ -79,6 +79,7 @@ def test_measurements_meet_movers_where_they_were_at_their_time() -> None:
     bearings = np.linspace(-1.2, 1.2, 49)
     ages = np.linspace(LOOP, 0.0, 49)
     met = 0
+
     with Emulator(config, scene=Scene(world=world), sees=True) as emulator:
         for loop in range(1, 400):
             emulator.run_loop()

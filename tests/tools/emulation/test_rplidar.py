@@ -49,7 +49,7 @@ def test_requests_are_answered_as_published(request_: str, answer: str) -> None:
 def test_a_measurement_is_five_bytes_as_published() -> None:
     twin = scanning(lambda bearings, ages: np.ones(len(bearings)), rate=1.0, samples=4)
     assert twin.advance(1.0) == bytes.fromhex(
-        "3e 01 2d a0 0f"  # 90 deg * 64 = 0x1680, and the check bit; 1000 mm * 4 = 0x0fa0
+        "3e 01 2d a0 0f"  # 90 deg * 64 = 0x1680, and the check bit. 1000 mm * 4 = 0x0fa0
         "3e 01 5a a0 0f"  # quality 15, and no start: 0b111110
         "3e 01 87 a0 0f"
         "3d 01 00 a0 0f"  # 0 deg starts a turn: 0b111101

@@ -58,10 +58,10 @@ def emulated(hidden: RobotConfig, quirks: tuple[str, ...], duration: float) -> I
                 emulator.terminate()
 
 
-def refuses(found: Identification) -> bool:
+def refuses(result: Identification) -> bool:
     """Whether no file is written."""
     try:
-        found.check()
+        result.check()
     except AcsarError:
         return True
     return False
@@ -84,15 +84,17 @@ def judge(seed: int, duration: float, *, is_simulated: bool) -> Result:
     is_outside = seed % 5 in (2, 4)
     if is_outside:
         hidden, quirks = draw_misfit(seed)
-        found = identify(hidden, quirks, duration)
-        is_refused = refuses(found)
-        return Result(seed, is_outside, is_refused, (), f"{quirks}: {found.verdict}")
+        result = identify(hidden, quirks, duration)
+        text = f"{quirks}: {result.verdict}"
+        return Result(seed, is_outside, is_good=refuses(result), near=(), text=text)
+
     hidden = draw_motors(seed)
-    found = identify(hidden, (), duration)
-    missed = find_missed_truths(found, hidden)
-    near = tuple(score.name for score in score_findings(found, hidden) if score.error <= 1.0)
-    is_good = not missed and not refuses(found)
-    return Result(seed, is_outside, is_good, near, f"{found.held_out} {missed}")
+    result = identify(hidden, (), duration)
+    missed = find_missed_truths(result, hidden)
+    near = tuple(score.name for score in score_findings(result, hidden) if score.error <= 1.0)
+    is_good = not missed and not refuses(result)
+    text = f"{result.held_out} {missed}"
+    return Result(seed, is_outside, is_good=is_good, near=near, text=text)
 
 
 def main() -> int:
@@ -104,6 +106,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--simulated", action="store_true")
     arguments = parser.parse_args()
+
     seeds = range(arguments.seed, arguments.seed + arguments.robots)
     work = partial(judge, duration=arguments.duration, is_simulated=arguments.simulated)
     results = []

@@ -1,4 +1,4 @@
-"""What runs drive and the floor that they need; they are driven on odometry, within a fence."""
+"""Runs of a calibration: the floor that they need, and driving them on odometry within a fence."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from acsar_gym.tools.sysid.calibration import Geometry, integrate_wheels
 from acsar_gym.tools.sysid.calibration_drive import (
     SPACE_SLACK,
     RunPlan,
+    check_space,
     drive_run,
     find_needed_space,
     make_fence,
@@ -26,34 +27,33 @@ from acsar_gym.tools.sysid.calibration_drive import (
 )
 
 LINES = plan_straights(2.0, 0.3, 3)
-PLANS = {
+ENDS = {
     "line": (plan_straights(0.5, 0.4, 1)[0], (0.5, 0.0, 0.0)),
     "back": (plan_straights(0.5, 0.4, 2)[1], (-0.5, 0.0, 0.0)),
     "turn": (plan_turns(1.5, (1.2,), (0.0,), 1)[0], (0.0, 0.0, 3.0 * math.pi)),
     "circle": (plan_turns(1.0, (1.0,), (0.3,), 1)[0], (0.0, 0.0, 2.0 * math.pi)),
 }
-"""Plans, and where they end."""
-LINE, TURN = PLANS["line"][0], PLANS["turn"][0]
+"""Plans, and their ends."""
 
 
 @pytest.mark.parametrize(
     ("plans", "ahead", "aside"),
-    [
-        (LINES, 2.0, 0.0),
-        (plan_turns(2.0, (0.5,), (0.0,), 1), 0.0, 0.0),
-        (plan_turns(2.0, (0.5,), (0.5,), 2), 0.5, 1.0),
-    ],
+    [(LINES, 2.0, 0.0), (plan_turns(2.0, (0.5,), (0.5,), 2), 0.5, 1.0)],
 )
-def test_the_floor_holds_path_robot_and_slack(
+def test_find_needed_space_holds_path_robot_and_slack(
     plans: list[RunPlan], ahead: float, aside: float
 ) -> None:
-    own = find_needed_space(plan_turns(1.0, (0.5,), (0.0,), 1), ACSAR)[0]
-    slack = SPACE_SLACK * max(ahead, aside)
-    expected = (ahead + slack + own, aside + slack + own)
-    assert find_needed_space(plans, ACSAR) == pytest.approx(expected, abs=1e-3)
+    robot = find_needed_space(plan_turns(1.0, (0.5,), (0.0,), 1), ACSAR)[0]
+    slack = SPACE_SLACK * max(ahead, aside) + robot
+    space = find_needed_space(plans, ACSAR)
+    assert space == pytest.approx((ahead + slack, aside + slack), abs=1e-3)
+    check_space(plans, ACSAR, space)
+    for free, message in ((None, "--space is missing"), ((space[0], 0.1), "too small")):
+        with pytest.raises(ConfigError, match=message):
+            check_space(plans, ACSAR, free)
 
 
-def test_the_fence_is_around_the_space_also_on_the_way_back() -> None:
+def test_make_fence_is_around_the_space_also_on_the_way_back() -> None:
     ahead, back = (make_fence(ACSAR, plan, (4.0, 1.5)) for plan in LINES[:2])
     assert ahead.max_x == -back.min_x > 3.5
     assert ahead.min_x == -back.max_x > -1.5
@@ -61,16 +61,15 @@ def test_the_fence_is_around_the_space_also_on_the_way_back() -> None:
 
 
 @pytest.mark.parametrize(
-    ("make", "arguments", "said"),
+    ("make", "arguments", "message"),
     [
         (plan_straights, (0.0, 0.3, 1), "--distance 0"),
-        (plan_turns, (-1.0, (1.0,), (0.0,), 1), "--turns -1"),
         (plan_turns, (1.0, (1.0,), (-0.3,), 1), "--radii -0.3"),
         (plan_straights, (1.0, 0.3, 500), "500 runs"),
     ],
 )
-def test_bad_sizes_are_told(make: Any, arguments: tuple[object, ...], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_plans_refuse_bad_sizes(make: Any, arguments: tuple[object, ...], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         make(*arguments)
 
 
@@ -78,28 +77,29 @@ def make_robot(config: RobotConfig = ACSAR, twin: RobotConfig = ACSAR) -> Robot:
     return Robot(open_link("planar", twin), config)
 
 
-@pytest.mark.parametrize(("plan", "end"), PLANS.values(), ids=PLANS)
-def test_a_run_ends_where_it_should_and_tells_its_wheels(
-    plan: RunPlan, end: tuple[float, ...]
-) -> None:
+@pytest.mark.parametrize(("plan", "end"), ENDS.values(), ids=ENDS)
+def test_drive_run_ends_as_planned(plan: RunPlan, end: tuple[float, ...]) -> None:
     run = drive_run(make_robot(), plan, reads_truth=True)
-    ends = integrate_wheels(run.wheels, Geometry.of(ACSAR), ACSAR.wheel_separation)
-    assert ends == pytest.approx(end, abs=0.04)
-    readings = {reading.kind: reading.value for reading in run.readings}
-    expected = {"distance": math.hypot(*ends[:2]), "aside": ends[1], "heading": ends[2]}
-    assert readings == pytest.approx({kind: expected[kind] for kind in readings}, abs=0.02)
+    x, y, theta = integrate_wheels(run.wheels, Geometry.of(ACSAR), ACSAR.wheel_separation)
+    assert (x, y, theta) == pytest.approx(end, abs=0.04)
+    expected = {"distance": math.hypot(x, y), "aside": y, "heading": theta}
+    for reading in run.readings:
+        assert reading.value == pytest.approx(expected[reading.kind], abs=0.02)
+    assert len(run.readings) == (1 if plan.manoeuvre == "turn" else 3)
 
 
-def test_the_fence_stops_it_with_an_error() -> None:
-    robot = make_robot(ACSAR.with_(geofence=Geofence(min_x=-1.0, max_x=0.3, min_y=-1.0, max_y=1.0)))
+def test_drive_run_is_stopped_by_the_fence() -> None:
+    fence = Geofence(min_x=-1.0, max_x=0.3, min_y=-1.0, max_y=1.0)
+    robot = make_robot(ACSAR.with_(geofence=fence))
     with pytest.raises(LinkError, match=r"straight 1: stopped at \(0\.3\d, "):
-        drive_run(robot, LINE)
+        drive_run(robot, LINES[0])
     assert not robot.active
 
 
-def test_an_emergency_stop_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Halfway, as `acsar-gym estop` asks for it."""
-    robot, ticks = make_robot(), itertools.count()
+def test_drive_run_ends_with_an_emergency_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Halfway, as with `acsar-gym estop`."""
+    robot = make_robot()
+    ticks = itertools.count()
 
     def stop_late(*twist: float) -> None:
         if next(ticks) == 30:
@@ -108,13 +108,13 @@ def test_an_emergency_stop_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(robot, "drive", stop_late)
     with pytest.raises(LinkError, match="emergency stop"):
-        drive_run(robot, LINE)
+        drive_run(robot, LINES[0])
     assert next(ticks) > 30
     assert not robot.active
 
 
-@pytest.mark.parametrize("plan", [LINE, TURN])
-def test_a_robot_that_does_not_get_on_is_told(plan: RunPlan) -> None:
+@pytest.mark.parametrize("plan", [ENDS["line"][0], ENDS["turn"][0]])
+def test_drive_run_fails_if_the_robot_does_not_move(plan: RunPlan) -> None:
     dead = ACSAR.with_(motor={"deadband": 1000.0})
-    with pytest.raises(LinkError, match=r"only 0(\.00)? of|wheel"):
-        drive_run(make_robot(twin=dead), plan)
+    with pytest.raises(LinkError, match=r"only 0(\.00)? of"):
+        drive_run(make_robot(ACSAR.with_(wheel_check=False), dead), plan)

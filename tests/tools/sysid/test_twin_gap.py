@@ -14,13 +14,11 @@ from rollout_tools import HIDDEN, driven, random_steps, recording
 from acsar_gym import RobotConfig
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording.types import Recording
-from acsar_gym.tools.sysid.board_log import Floats
+from acsar_gym.recording.types import Floats, Recording
 from acsar_gym.tools.sysid.twin_gap import TwinGap, conclude_gap, measure_gap
 
 ACSAR = RobotConfig.preset("acsar")
 ROBOT = ACSAR.with_(**HIDDEN)
-BEFORE = ("acsar", ACSAR)
 
 
 @cache
@@ -32,25 +30,22 @@ def log(seed: int = 0, duration: float = 8.0, extra: float = 0.0) -> Recording:
     return recording(ACSAR, episode, name=f"log {seed}")
 
 
-@cache
-def fitted() -> TwinGap:
-    """The gap of the right twin."""
-    logs = [(f"{seed}.mcap", log(seed)) for seed in range(3)]
-    return measure_gap(logs, ("robot.yaml", ROBOT), BEFORE)
+def measure(*logs: Recording, robot: RobotConfig = ROBOT) -> TwinGap:
+    named = list(zip("abc", logs, strict=False))
+    return measure_gap(named, ("robot.yaml", robot), ("acsar", ACSAR))
 
 
-def measure_one(one: Recording, robot: RobotConfig = ROBOT) -> TwinGap:
-    return measure_gap([("a", one)], ("robot.yaml", robot), BEFORE)
-
-
-def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
-    before, after = fitted().figures("before"), fitted().figures("after")
-    assert before["wheel_speed_rms"] > 0.5
-    assert after["wheel_speed_rms"] < 0.01
-    assert before["end_pose"] > 0.005
-    assert after["end_pose"] < 1e-4
-    assert before["time_shift"] == pytest.approx(0.14 - 0.08, abs=0.03)
-    assert abs(after["time_shift"]) < 1e-3
+def test_measure_gap_of_the_right_twin_is_a_tenth() -> None:
+    gap = measure(*(log(seed) for seed in range(3)))
+    preset = gap.figures("before")
+    twin = gap.figures("after")
+    assert preset["wheel_speed_rms"] > 0.5
+    assert twin["wheel_speed_rms"] < 0.01
+    assert preset["end_pose"] > 0.005
+    assert twin["end_pose"] < 1e-4
+    assert preset["time_shift"] == pytest.approx(0.14 - 0.08, abs=0.03)
+    assert abs(twin["time_shift"]) < 1e-3
+    assert not gap.notes
 
 
 @pytest.mark.parametrize(
@@ -61,86 +56,78 @@ def test_the_right_twin_has_a_tenth_of_the_gap() -> None:
         ({"wheelbase": 0.35}, "wheelbase"),
     ],
 )
-def test_logs_of_different_robots_are_refused(changes: dict[str, Any], field: str) -> None:
-    other = replace(log(1), config=ACSAR.with_(**changes))
+def test_measure_gap_refuses_logs_of_different_robots(changes: dict[str, Any], field: str) -> None:
+    unlike = replace(log(1), config=ACSAR.with_(**changes))
     with pytest.raises(ConfigError, match=f"b: is of another robot: {field}"):
-        measure_gap([("a", log(0)), ("b", other)], ("robot.yaml", ROBOT), BEFORE)
+        measure(log(0), unlike)
 
 
-def test_what_is_odd_about_a_log_is_noted() -> None:
+def test_measure_gap_notes_what_is_odd_about_a_log() -> None:
     odd = replace(log(), cut=True, dropped=3, config=ACSAR.with_(wheel_radius=0.08))
     wire = odd.episodes[0].wire
     sent = wire.sent_stamps + np.where(wire.sent_stamps > 3.0, 0.25, 0.0)
     late = replace(odd.episodes[0], wire=replace(wire, sent_stamps=sent))
-    interval = Measured(low=0.13, high=0.15, method="identify", logs=("0" * 16,))
-    robot = ROBOT.with_(measured={"motor.time_constant.a": interval})
-    notes = measure_one(replace(odd, episodes=(late,)), robot).notes
-    told = ("its end is missing", "3 ticks are missing", "wheel_radius = 0.08", "sent for 0.26 s")
-    assert [part in note for note, part in zip(notes, told, strict=True)] == [True] * 4
-
-
-def test_robots_whose_model_doesnt_fit_are_noted() -> None:
     robot = ROBOT.with_(motor_fit="doesn't fit: holds at reversals")
-    assert not measure_one(log()).notes
-    (note,) = measure_one(log(), robot).notes
-    assert note == "robot.yaml: this robot's simulation doesn't fit: holds at reversals"
+    expected = (
+        "robot.yaml: this robot's simulation doesn't fit: holds at reversals",
+        "its end is missing",
+        "3 ticks are missing",
+        "wheel_radius = 0.08",
+        "sent for 0.26 s",
+    )
+    notes = measure(replace(odd, episodes=(late,)), robot=robot).notes
+    assert all(text in note for note, text in zip(notes, expected, strict=True))
 
 
-def test_truth_is_left_out_where_it_isnt_known() -> None:
-    known = log()
-    blind = replace(known.episodes[0], truth=np.full_like(known.episodes[0].truth, np.nan))
-    gap = measure_one(recording(ACSAR, blind))
-    assert not gap.replays[0].recorded.known
-    assert gap.figures("after")["end_pose"] < 1e-4  # the right twin, by odometry as the robot
-    assert gap.figures("after")["end_pose"] == gap.figures("after")["end_odometry"]
-    assert gap.figures("after")["yaw_rms"] < 1e-3
+def test_measure_gap_compares_odometry_without_a_truth() -> None:
+    episode = log().episodes[0]
+    blind = replace(episode, truth=np.full_like(episode.truth, np.nan))
+    gap = measure(recording(ACSAR, blind))
+    twin = gap.figures("after")
+    assert twin["end_pose"] == twin["end_odometry"] < 1e-4  # odometry of both
+    assert twin["yaw_rms"] < 1e-3
     assert "are by odometry of both" in gap.notes[0]
 
 
-def test_ten_milliseconds_of_delay_are_found() -> None:
-    logs = [(f"{seed}", log(seed, 20.0, extra=0.010)) for seed in (3, 4)]
-    gap = measure_gap(logs, ("robot.yaml", ROBOT), BEFORE)
+def test_measure_gap_finds_ten_milliseconds_of_delay() -> None:
+    gap = measure(*(log(seed, 20.0, extra=0.010) for seed in (3, 4)))
     shift = gap.figures("after")["time_shift"]
-    assert shift == pytest.approx(0.020, abs=0.002)  # the answer is late, too
+    assert shift == pytest.approx(0.020, abs=0.002)  # the answer is late as well
 
 
 @pytest.mark.parametrize("fits", [True, False])
-def test_fitted_logs_dont_count(*, fits: bool) -> None:
-    """Nor where the model didn't fit, and values have no intervals."""
+def test_measure_gap_judges_held_out_logs(*, fits: bool) -> None:
+    """Also if the model didn't fit, and values have no intervals."""
     hashes = (log(0).sha256,)
     interval = Measured(low=0.13, high=0.15, method="identify", logs=hashes)
-    told: dict[str, Any] = {"measured": {"motor.time_constant.a": interval}}
+    changes: dict[str, Any] = {"measured": {"motor.time_constant.a": interval}}
     if not fits:
-        told = {"motor_fit": "doesn't fit: holds at reversals", "motor_fit_logs": hashes}
-    robot = ("robot.yaml", ROBOT.with_(**told))
-    logs = [(f"{seed}.mcap", log(seed)) for seed in range(2)]
-    gap = measure_gap(logs, robot, BEFORE)
+        changes = {"motor_fit": "doesn't fit: holds at reversals", "motor_fit_logs": hashes}
+    robot = ROBOT.with_(**changes)
+    gap = measure(log(0), log(1), robot=robot)
     assert [replay.fitted for replay in gap.replays] == [True, False]
-    assert [replay.log for replay in gap.judged] == ["1.mcap"]
-    gap = measure_gap(logs[:1], robot, BEFORE)
+    assert [replay.log for replay in gap.judged] == ["b"]
+    gap = measure(log(0), robot=robot)
     assert len(gap.judged) == 1
     assert "none is held out" in gap.notes[-1]
-    assert "fitted episode" in conclude_gap(gap)
-
-
-def test_a_short_log_is_refused() -> None:
-    with pytest.raises(ConfigError, match="a #0: left out, holds less than 1 s"):
-        measure_one(log(0, 0.5))
-    with pytest.raises(ConfigError, match="a: holds no episode"):
-        measure_one(recording(ACSAR))
+    assert "1 fitted episode, 8 s" in conclude_gap(gap)
 
 
 @pytest.mark.parametrize(
-    ("moved", "said"),
+    ("move", "reason"),
     [
         (lambda stamps: stamps * 1e6, "is longer than 4 h"),
         (lambda stamps: stamps[::-1], "its times go backwards"),
         (lambda stamps: stamps[:1], "holds less than 1 s"),
     ],
 )
-def test_a_damaged_episode_is_left_out(moved: Callable[[Floats], Floats], said: str) -> None:
-    whole = log(0).episodes[0]
-    odd = replace(log(0), episodes=(replace(whole, stamps=moved(whole.stamps)), whole))
-    gap = measure_one(odd)
-    assert gap.notes[0].startswith(f"a #0: left out, {said}")
+def test_measure_gap_leaves_a_damaged_episode_out(
+    move: Callable[[Floats], Floats], reason: str
+) -> None:
+    episode = log().episodes[0]
+    damaged = replace(episode, stamps=move(episode.stamps))
+    gap = measure(replace(log(), episodes=(damaged, episode)))
+    assert gap.notes[0].startswith(f"a #0: left out, {reason}")
     assert [replay.episode for replay in gap.replays] == [1]
+    with pytest.raises(ConfigError, match=f"a #0: left out, {reason}"):
+        measure(replace(log(), episodes=(damaged,)))

