@@ -20,7 +20,7 @@ STOPPING ?= --trials 20
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
   test-ros test-scale lint firmware firmware-tested bench soak stopping wheel-check ros-stopping ros-timing \
-  identify-check licences reference pictures clean
+  identify-check faults licences reference pictures clean
 
 demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial device
 	$(BIN)/acsar-gym demo
@@ -79,25 +79,28 @@ test-scale: $(READY)  ## Ray clusters of two nodes on this machine, one of them 
 	$(BIN)/pytest tests/scale
 
 bench: $(READY)  ## how fast envs, batches, wire and policies are, in a table; docs/performance.md has one
-	$(BIN)/python tests/bench.py
+	$(BIN)/python tests/measure/bench.py
 
 soak: $(READY)  ## half an hour of driving over a pseudo-terminal
-	$(BIN)/python tests/endurance/soak.py --minutes $(SOAK_MINUTES)
+	$(BIN)/python tests/measure/soak.py --minutes $(SOAK_MINUTES)
 
 identify-check: $(READY)  ## find the parameters of 20 hidden robots over pseudo-terminals
 	$(BIN)/python tests/tools/sysid/check_hidden.py
 
 stopping: $(READY)  ## how soon a robot stops after each kind of fault, in a quarter of an hour; STOPPING='--board COMMAND ...'
-	$(BIN)/python tests/stopping.py $(STOPPING)
+	PYTHONPATH=tests $(BIN)/python tests/measure/stopping.py $(STOPPING)
 
 wheel-check: $(READY)  ## how soon wrong wheels are found, and whether sound robots are stopped, in half an hour
-	$(BIN)/python tests/check_wheels.py
+	PYTHONPATH=tests $(BIN)/python tests/measure/check_wheels.py
 
 ros-stopping: $(ROS)/ready  ## the same for robots in ROS and `acsar-gym ros driver`
-	.ci/ros $(ROS)/bin/python tests/ros_stopping.py
+	PYTHONPATH=tests .ci/ros $(ROS)/bin/python tests/measure/ros_stopping.py
 
 ros-timing: $(ROS)/ready  ## late ticks, CPU and reaction time of a robot in ROS and of its driver
-	.ci/ros $(ROS)/bin/python tests/ros_timing.py
+	PYTHONPATH=tests .ci/ros $(ROS)/bin/python tests/measure/ros_timing.py
+
+faults: $(READY)  ## plant 60 faults in the package, one at a time, and count those that tests detect
+	nice -n 19 $(BIN)/python tests/plant_faults.py
 
 licences: $(READY)  ## write docs/licences.md from what is installed
 	$(BIN)/python tests/licence_tools.py >docs/licences.md

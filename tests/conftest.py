@@ -22,7 +22,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 with contextlib.suppress(OSError):
     ctypes.CDLL("libEGL.so.1")
     os.environ.setdefault("MUJOCO_GL", "egl")
-sys.path.insert(0, str(Path(__file__).parent))  # --import-mode=importlib leaves it out
+# --import-mode=importlib leaves them out.
+sys.path.insert(0, str(Path(__file__).parent / "measure"))
+sys.path.insert(0, str(Path(__file__).parent))
 
 from nursery import nursery as programs
 from serial_tools import Emulated, RobotFile, StartEmulator, start

@@ -21,8 +21,8 @@ from multiprocessing.forkserver import ensure_running
 from pathlib import Path
 from typing import IO
 
+import boards
 import pytest
-import quirks
 
 from acsar_gym import testing
 from acsar_gym.guard.shutdown import install_handlers
@@ -225,6 +225,10 @@ class Emulated(EmulatedBoard):
             self.process.kill()
             self.process.close()
 
+    def close(self) -> None:
+        """Switch off, for `contextlib.closing`."""
+        self.end()
+
 
 def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
     """An emulator that serves; its log is at `log`.
@@ -235,7 +239,7 @@ def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
     if board:
         process: Started | Forked = Started(*shlex.split(board), *options)
     else:
-        process = Forked("emulate", *options, main=quirks.emulate)
+        process = Forked("emulate", *options, main=boards.emulate)
     emulated = Emulated(process, first_line(process).split(" ")[-1], log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()

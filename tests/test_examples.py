@@ -27,17 +27,15 @@ def main_of(name: str) -> Any:
     return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
 
 
-@pytest.mark.parametrize(("env", "least"), [("point_goal", 5), ("obstacle_goal", 0)])
-def test_heading_for_the_goal_reaches_it_where_nothing_stands_in_the_way(
-    env: str, least: int
-) -> None:
+@pytest.mark.parametrize(("env", "fewest"), [("point_goal", 5), ("obstacle_goal", 0)])
+def test_head_for_goal_reaches_it_without_obstacles(env: str, fewest: int) -> None:
     policy = runs.load_policy(f"{EXAMPLES / 'head_for_goal.py'}:act", trust=False, env=env)
     done = runs.evaluate_policy(policy, "planar", None, range(5))
-    assert least <= sum(result.success for result in done.results) < 5 + bool(least)
+    assert fewest <= sum(result.success for result in done.results) < 5 + bool(fewest)
 
 
 @pytest.mark.xdist_group(__name__)
-def test_the_export_of_stable_baselines3_drives(tmp_path: Path) -> None:
+def test_sb3_ppo_exports_a_policy(tmp_path: Path) -> None:
     out = tmp_path / "policy.onnx"
     main_of("sb3_ppo")(steps=16, robots=4, rollout=4, out=str(out))
     assert OnnxPolicy(out).env_id == "acsar_gym/PointGoal-v0"
@@ -45,7 +43,7 @@ def test_the_export_of_stable_baselines3_drives(tmp_path: Path) -> None:
 
 
 @pytest.mark.xdist_group(__name__)
-def test_a_loop_of_ones_own_learns_from_a_rollout(
+def test_own_loop_learns_from_a_rollout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -55,7 +53,7 @@ def test_a_loop_of_ones_own_learns_from_a_rollout(
 
 
 @pytest.mark.xdist_group(__name__)
-def test_a_task_of_ones_own_is_trained_and_driven(
+def test_own_task_is_trained_and_driven(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -70,7 +68,7 @@ def test_a_task_of_ones_own_is_trained_and_driven(
 
 @pytest.mark.xdist_group(__name__)
 @pytest.mark.parametrize("action", [5.0, -5.0], ids=["ahead", "back"])
-def test_stable_baselines3_on_a_board_is_slow_and_stops(
+def test_sb3_on_hardware_is_slow_and_stops(
     action: float,
     emulator: Emulated,
     robot_file: RobotFile,
@@ -84,17 +82,17 @@ def test_stable_baselines3_on_a_board_is_slow_and_stops(
     wait_until(emulator.is_stopped, "the command to stop")
     speeds = [abs(speed or 0.0) for command in emulator.commands() for speed in command]
     assert max(speeds) == pytest.approx(0.2 / RobotConfig.preset("acsar").wheel_radius, abs=0.01)
-    said = capsys.readouterr().out
-    assert said.startswith("reached: ")
-    assert said.endswith("limited by LIMITS; no fault\n")
+    output = capsys.readouterr().out
+    assert output.startswith("reached: ")
+    assert output.endswith("limited by LIMITS; no fault\n")
 
 
 @pytest.mark.xdist_group(__name__)
-def test_drives_are_cloned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_clone_behaviour_clones_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main_of("clone_behaviour")(out=tmp_path, drives=10)
-    said = capsys.readouterr().out
-    assert "/data: 10 drives, " in said
-    assert "success 100%" in said
+    output = capsys.readouterr().out
+    assert "/data: 10 drives, " in output
+    assert "success 100%" in output
     assert OnnxPolicy(tmp_path / "policy.onnx").env_id == "acsar_gym/PointGoal-v0"
 
 
@@ -113,18 +111,21 @@ def full_speed(path: Path, action: float) -> Path:
     return path
 
 
-def test_a_recorded_run_in_pandas(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    tape, plot = tmp_path / "tape.mcap", tmp_path / "run.png"
+def test_recorded_run_shows_figures_in_pandas(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tape = tmp_path / "tape.mcap"
+    plot = tmp_path / "run.png"
     env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=tape)
     for seed in range(2):
         env.reset(seed=seed)
         for step in range(20):
             env.step(np.array([np.sin(step / 3.0), 0.1], np.float32))
     env.close()
-    found = main_of("recorded_run")(tape, plot)
-    assert list(found.columns) == [0, 1]
-    assert 0.0 < found.loc["measured after sent", 0] < 0.3
-    assert 0.1 < found.loc["path by odometry", 1] < 1.0
-    assert found.loc["late, median"].isna().all()
+    figures = main_of("recorded_run")(tape, plot)
+    assert list(figures.columns) == [0, 1]
+    assert 0.0 < figures.loc["measured after sent", 0] < 0.3
+    assert 0.1 < figures.loc["path by odometry", 1] < 1.0
+    assert figures.loc["late, median"].isna().all()
     assert "limited ticks" in capsys.readouterr().out
     assert plot.stat().st_size > 10_000

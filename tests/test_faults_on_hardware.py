@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from failing_link import DamagedLink, FailingLink
+from boards import DamagedLink, FailingLink
 from serial_tools import Emulated, no_leak
 
 from acsar_gym import RobotConfig, open_link
@@ -21,7 +21,8 @@ pytestmark = pytest.mark.usefixtures("deadline")
 
 SLOW = np.array([0.1, 0.1], np.float32)
 STEPS = 3
-SILENT, LOST = 1.0, 3.0
+SILENT = 1.0
+LOST = 3.0
 FAULTS: dict[str, float | None] = {
     "dropped_lines": None,
     "late_lines": None,
@@ -81,14 +82,15 @@ def ends_with_zero(emulator: Emulated) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_the_episode_goes_on_or_ends_with_a_reason_and_the_board_is_stopped(
+def test_step_with_a_fault_goes_on_or_ends_with_a_reason(
     fault: str, shared_emulator: Emulated
 ) -> None:
     code = FAULTS[fault]
     with ends_with_zero(shared_emulator):
         env = make_env(shared_emulator.device, fault)
         begin(env)
-        steps, ended = 0, False
+        steps = 0
+        ended = False
         while not ended and (code or steps < STEPS):
             observation, _, _, ended, info = env.step(SLOW)
             assert_sound(env, observation, info, truncated=ended)

@@ -38,7 +38,7 @@ def count_hits() -> int:
     return sum(function.stats.cache_hits.values())
 
 
-def test_the_hash_covers_names_and_contents_of_all_sources(tmp_path: Path) -> None:
+def test_hash_sources_covers_names_and_contents(tmp_path: Path) -> None:
     hashes: set[str] = set()
     for name, content in (("one.py", "y = 1"), ("one.py", "y = 2"), ("two.py", "y = 2")):
         folder = tmp_path / str(len(hashes))
@@ -48,7 +48,7 @@ def test_the_hash_covers_names_and_contents_of_all_sources(tmp_path: Path) -> No
         assert len(hashes) == int(folder.name) + 1
 
 
-def test_cached_code_is_used_until_any_source_changes(
+def test_loop_uses_cached_code_until_a_source_changes(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert [count_hits(), count_hits()] == [0, 1]
@@ -56,7 +56,7 @@ def test_cached_code_is_used_until_any_source_changes(
     assert [count_hits(), count_hits()] == [0, 1]
 
 
-def test_old_versions_of_compiled_code_are_deleted(
+def test_loop_deletes_old_versions_of_compiled_code(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for number in range(2 * compiled.KEPT_FOLDERS):
@@ -67,14 +67,14 @@ def test_old_versions_of_compiled_code_are_deleted(
 
 
 @pytest.mark.parametrize("kind", ["*.nbc", "*.nbi"])
-def test_damaged_code_is_compiled_again(kind: str, folder: Path) -> None:
+def test_loop_compiles_damaged_code_again(kind: str, folder: Path) -> None:
     assert [count_hits(), count_hits()] == [0, 1]
     (path,) = folder.rglob(kind)
     os.truncate(path, path.stat().st_size // 2)
     assert count_hits() == 0
 
 
-def test_a_full_disk_stops_no_program(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_loop_survives_a_full_disk(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     count_hits()  # numba itself is imported and cached
     for path in folder.rglob("*.nb?"):
         path.unlink()
@@ -83,7 +83,7 @@ def test_a_full_disk_stops_no_program(folder: Path, caplog: pytest.LogCaptureFix
     assert caplog.messages == [compiled.CANNOT_CACHE]
 
 
-def test_without_a_folder_functions_are_compiled_without_a_cache(
+def test_loop_works_without_a_cache(
     folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("numba.config.CACHE_DIR", "/dev/null")
@@ -100,7 +100,7 @@ jit.loop(layout.robots_of_block)(0, 1)
 """
 
 
-def test_a_long_compilation_is_announced(tmp_path: Path) -> None:
+def test_loop_announces_a_long_compilation(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", COMPILE]
     messages = [
@@ -111,7 +111,7 @@ def test_a_long_compilation_is_announced(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", warm_up.ENV_NAMES)
-def test_warming_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_warm_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
     worlds = {
         "barn": "barn:1",
         "obstacle_goal": "open:2",

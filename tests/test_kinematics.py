@@ -42,7 +42,9 @@ def test_forward_of_inverse_is_the_twist(
 
 
 @given(linear=linear_speed, angular=angular_speed, left=length, right=length)
-def test_each_side_has_a_radius(linear: float, angular: float, left: float, right: float) -> None:
+def test_compute_speeds_takes_a_radius_for_each_side(
+    linear: float, angular: float, left: float, right: float
+) -> None:
     sizes = {"left_radius": left, "right_radius": right, "wheel_separation": SEPARATION}
     speeds = kinematics.compute_speeds(linear, angular, **sizes, max_speed=1e9)
     a, b, c, d = kinematics.inverse(linear, angular, 1.0, SEPARATION)
@@ -51,7 +53,7 @@ def test_each_side_has_a_radius(linear: float, angular: float, left: float, righ
     assert twist == pytest.approx((linear, angular), rel=1e-9, abs=1e-9)
 
 
-def test_limits_of_the_inverse() -> None:
+def test_inverse_has_limits() -> None:
     speeds = kinematics.inverse(0.5, 1.0, RADIUS, SEPARATION)
     assert speeds == pytest.approx((13.0, 7.0, 7.0, 13.0))
     assert kinematics.inverse(0.5, 1.0, RADIUS, SEPARATION, max_speed=13.0) == speeds

@@ -49,7 +49,7 @@ def state(odometry: Odometry) -> tuple[object, ...]:
 
 
 @samples(10_000, 100_000)
-def test_random_updates_agree_with_the_listings(count: int) -> None:
+def test_update_agrees_with_the_listings(count: int) -> None:
     rng = random.Random(20250609)
     odometry = Odometry(RADIUS, SEPARATION)
     listing = Listing()
@@ -76,13 +76,13 @@ def test_random_updates_agree_with_the_listings(count: int) -> None:
         (3 * math.pi, math.pi),
     ],
 )
-def test_equation_10_wraps_only_beyond_pi(turn: float, theta: float) -> None:
+def test_update_wraps_only_beyond_pi(turn: float, theta: float) -> None:
     odometry = Odometry(1.0, 1.0)
     odometry.update((turn, 0.0, 0.0, turn), 1.0)
     assert odometry.pose[2] == pytest.approx(theta, abs=1e-12)
 
 
-def test_the_quaternion_is_equation_11() -> None:
+def test_quaternion_is_equation_11() -> None:
     odometry = Odometry(RADIUS, SEPARATION)
     odometry.update(LEFT_ARC, dt=1.0)
     half = odometry.pose[2] / 2
@@ -99,7 +99,9 @@ def test_the_quaternion_is_equation_11() -> None:
         ((1.0,) * 3, 0.01),
     ],
 )
-def test_bad_numbers_are_refused_and_change_nothing(speeds: tuple[float, ...], dt: float) -> None:
+def test_update_refuses_bad_numbers_and_changes_nothing(
+    speeds: tuple[float, ...], dt: float
+) -> None:
     odometry = Odometry(RADIUS, SEPARATION)
     odometry.update(LEFT_ARC, 0.1)
     old = state(odometry)
@@ -108,7 +110,7 @@ def test_bad_numbers_are_refused_and_change_nothing(speeds: tuple[float, ...], d
     assert state(odometry) == old
 
 
-def test_a_robot_has_a_radius_for_each_side() -> None:
+def test_of_takes_a_radius_for_each_side() -> None:
     config = RobotConfig(
         wheel_radius=RADIUS,
         wheel_separation=SEPARATION,
@@ -124,6 +126,6 @@ def test_a_robot_has_a_radius_for_each_side() -> None:
     assert odometry.twist == pytest.approx(((left_speed + right_speed) / 2.0, turn_rate))
 
 
-def test_lengths_are_positive() -> None:
+def test_odometry_refuses_a_length_of_zero() -> None:
     with pytest.raises(ConfigError, match="wheel_separation = 0"):
         Odometry(0.05, 0.0)

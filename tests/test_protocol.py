@@ -16,8 +16,7 @@ from acsar_gym.protocol import MAX_LINE, MAX_SPEED, WHEELS, Decoder, Speeds, enc
 
 GRAMMAR = re.compile(rb"a[pn]\d\d\.\d\d,b[pn]\d\d\.\d\d,c[pn]\d\d\.\d\d,d[pn]\d\d\.\d\d,?\r\n")
 NOT_NUMBERS = (
-    "nan|inf|1e001|1e+10|--1.00|+ 1.00|    1.00|001.00|01.000|1.000|100.0|01.0|01.|.01|0101|01:00|"
-    "0x.10|1_.00|01.00 |01.00\x00|\u0660\u0661.\u0660\u0660||ap01.00"
+    "nan|1e+10|--1.00|+ 1.00|001.00|01.000|01.0|01.|.01|01:00|01.00 |\u0660\u0661.\u0660\u0660|"
 )
 GOOD = b"ap12.50,bn08.75,cp15.00,dn10.25"
 GOOD_SPEEDS = (12.5, -8.75, 15.0, -10.25)
@@ -59,14 +58,14 @@ def speeds_of(data: bytes) -> list[tuple[float | None, ...]]:
 
 @given(speeds=four_speeds, comma=st.booleans())
 @example(speeds=(1e308, 1e308, 1e308, 1e308), comma=False)
-def test_decode_of_encode_is_rounded_and_saturated(speeds: Speeds, comma: bool) -> None:
+def test_decoder_reads_encoded_speeds_rounded_and_saturated(speeds: Speeds, comma: bool) -> None:
     expected = tuple(on_the_wire(speed) for speed in speeds)
     assert speeds_of(encode(speeds, trailing_comma=comma)) == [expected]
 
 
 @given(speeds=four_speeds, comma=st.booleans())
 @example(speeds=(-0.0, -0.001, -0.00499, -5e-324), comma=False)
-def test_lines_fit_the_grammar_and_no_zero_is_negative(speeds: Speeds, comma: bool) -> None:
+def test_encode_fits_the_grammar_and_no_zero_is_negative(speeds: Speeds, comma: bool) -> None:
     line = encode(speeds, trailing_comma=comma)
     assert GRAMMAR.fullmatch(line)
     assert line.endswith(b",\r\n") is comma
@@ -75,7 +74,7 @@ def test_lines_fit_the_grammar_and_no_zero_is_negative(speeds: Speeds, comma: bo
 
 
 @given(chunks=st.lists(st.one_of(noise, st.binary(max_size=3 * MAX_LINE)), max_size=20))
-def test_no_bytes_raise_and_what_the_decoder_holds_is_bounded(chunks: list[bytes]) -> None:
+def test_decoder_takes_any_bytes_in_bounded_memory(chunks: list[bytes]) -> None:
     decoder = Decoder()
     for chunk in chunks:
         decoder.feed(chunk)
@@ -84,20 +83,18 @@ def test_no_bytes_raise_and_what_the_decoder_holds_is_bounded(chunks: list[bytes
 
 @pytest.mark.parametrize("index", range(4))
 def test_encode_refuses_what_is_not_four_finite_speeds(index: int) -> None:
-    for bad in (math.nan, math.inf, -math.inf):
+    for bad in (math.nan, -math.inf):
         speeds = [1.0, 2.0, 3.0, 4.0]
         speeds[index] = bad
         with pytest.raises(CommandError, match=f"^{WHEELS[index]} speed is {bad}"):
             encode(speeds)
-    with pytest.raises(CommandError, match="front_right"):
-        encode([math.inf, -math.inf, 0.0, 0.0])
-    for length in (0, 1, 3, 5):
+    for length in (3, 5):
         with pytest.raises(CommandError, match=f"got {length}"):
             encode([0.0] * length)
 
 
-def test_any_line_end_with_or_without_a_trailing_comma() -> None:
-    for end in (b"\r", b"\n", b"\r\n", b"\n\n", b",\r\r\n", b",\n", b",\r\n"):
+def test_decoder_takes_any_line_end_with_or_without_a_trailing_comma() -> None:
+    for end in (b"\r", b"\n", b"\r\n", b",\r\r\n", b",\n"):
         decoder = Decoder()
         assert [reading.speeds for reading in decoder.feed((GOOD + end) * 3)] == [GOOD_SPEEDS] * 3
         assert (decoder.lines, decoder.refused) == (3, {})
@@ -106,28 +103,18 @@ def test_any_line_end_with_or_without_a_trailing_comma() -> None:
 @pytest.mark.parametrize(
     ("line", "speeds", "refused"),
     [
-        (b"bp02.00", (None, 2.0, None, None), {}),
         (b"dn04.00,ap01.00", (1.0, None, None, -4.0), {}),
-        (b"an00.00", (0.0, None, None, None), {}),
         (b"ap01.00,ep02.00,cp03.00", (1.0, None, 3.0, None), {"unknown motor": 1}),
         (b"Ap01.00,bp02.00", (None, 2.0, None, None), {"unknown motor": 1}),
-        (b"rp10.00,lp10.00,dp01.00", (None, None, None, 1.0), {"unknown motor": 2}),
-        (b"ax01.00,bp02.00", (None, 2.0, None, None), {"unknown direction": 1}),
-        (b"a,bp02.00", (None, 2.0, None, None), {"unknown direction": 1}),
+        (b"a,bx01.00,cp02.00", (None, None, 2.0, None), {"unknown direction": 2}),
         (b"ap1.00,bp02.00,cp,dp04.00", (None, 2.0, None, 4.0), {"malformed number": 2}),
-        (b"ap01.00,,cp03.00", (1.0, None, 3.0, None), {"empty part": 1}),
-        (b"ap01.00,,", (1.0, None, None, None), {"empty part": 1}),
+        (b"ap01.00,,cp03.00,,", (1.0, None, 3.0, None), {"empty part": 2}),
         (b"ap01.00,ap02.00,an03.00", (-3.0, None, None, None), {"duplicate motor": 2}),
-        (b"ap01.00,apnan", (1.0, None, None, None), {"malformed number": 1}),
         (GOOD + b"0", (*GOOD_SPEEDS[:3], None), {"malformed number": 1}),
-        (GOOD + b",,", GOOD_SPEEDS, {"empty part": 1}),
-        (GOOD + b",ap01.00", (1.0, *GOOD_SPEEDS[1:]), {"duplicate motor": 1}),
-        (b"x" + GOOD, (None, *GOOD_SPEEDS[1:]), {"unknown motor": 1}),
-        (b"\xff\x00ap01.00,bp02.00", (None, 2.0, None, None), {"unknown motor": 1}),
-        (b"dn04.00,bp02.00,ap01.00,cp03.00", (1.0, 2.0, 3.0, -4.0), {}),
+        (b"\xff\x00" + GOOD, (None, *GOOD_SPEEDS[1:]), {"unknown motor": 1}),
     ],
 )
-def test_bad_parts_are_refused_and_counted_and_the_rest_counts(
+def test_decoder_refuses_and_counts_bad_parts(
     line: bytes, speeds: tuple[float | None, ...], refused: dict[str, int]
 ) -> None:
     decoder = Decoder()
@@ -136,11 +123,8 @@ def test_bad_parts_are_refused_and_counted_and_the_rest_counts(
     assert decoder.lines == 1
 
 
-@pytest.mark.parametrize(
-    "number",
-    NOT_NUMBERS.split("|"),
-)
-def test_beside_padded_numbers_nothing_else_is_a_number(number: str) -> None:
+@pytest.mark.parametrize("number", NOT_NUMBERS.split("|"))
+def test_decoder_refuses_numbers_of_another_form(number: str) -> None:
     decoder = Decoder()
     assert decoder.feed(f"ap{number},bp02.00\n".encode())[0].speeds == (None, 2.0, None, None)
     assert decoder.refused == {"malformed number": 1}
@@ -149,7 +133,7 @@ def test_beside_padded_numbers_nothing_else_is_a_number(number: str) -> None:
 @given(hundredths=st.tuples(*[st.integers(-12_000, 12_000)] * 4), spaces=st.integers(0, 3))
 @example(hundredths=(0, 523, 10520, -320), spaces=0)
 @example(hundredths=(0, 0, 0, 0), spaces=1)
-def test_unpadded_numbers_are_read(hundredths: Speeds, spaces: int) -> None:
+def test_decoder_reads_unpadded_numbers(hundredths: Speeds, spaces: int) -> None:
     speeds = [value / 100 for value in hundredths]
     parts = [
         f"{motor}{'n' if speed < 0 else 'p'}{' ' * spaces}{abs(speed):.2f}"
@@ -162,8 +146,8 @@ def test_unpadded_numbers_are_read(hundredths: Speeds, spaces: int) -> None:
     assert not decoder.refused
 
 
-@pytest.mark.parametrize("place", range(len(GOOD)))
-def test_a_first_line_without_its_beginning_is_cut_but_not_damaged(place: int) -> None:
+@pytest.mark.parametrize("place", range(0, len(GOOD), 4))
+def test_decoder_forgives_a_first_line_without_its_beginning(place: int) -> None:
     decoder = Decoder()
     decoder.feed(GOOD[place:] + b"\r\n" + GOOD + b"\r\n")
     assert not decoder.refused
@@ -172,8 +156,8 @@ def test_a_first_line_without_its_beginning_is_cut_but_not_damaged(place: int) -
 
 
 @pytest.mark.parametrize("good", [GOOD, b"ap5.23,bn105.20,cp0.00,dp7.00"], ids=["padded", "not"])
-@pytest.mark.parametrize("place", [1, 3, 5, 6, 7, 8, 10, 14, 17, 25])
-def test_a_line_cut_by_a_reset_is_not_damaged_and_the_next_is_read(good: bytes, place: int) -> None:
+@pytest.mark.parametrize("place", [1, 5, 8, 25])
+def test_decoder_reads_a_line_that_a_reset_cut(good: bytes, place: int) -> None:
     decoder = Decoder()
     whole = decoder.feed(good + b"\r\n")[0].speeds
     (reading,) = decoder.feed(good[:place] + good + b",\r\n")
@@ -181,9 +165,9 @@ def test_a_line_cut_by_a_reset_is_not_damaged_and_the_next_is_read(good: bytes, 
     assert (decoder.refused, decoder.lines) == ({}, 2)
 
 
-@pytest.mark.parametrize("chunk", [1, 7, MAX_LINE, 10 * MAX_LINE])
+@pytest.mark.parametrize("chunk", [7, 10 * MAX_LINE])
 @pytest.mark.parametrize(("excess", "read"), [(0, 1), (1, 0), (MAX_LINE, 0)])
-def test_lines_beyond_the_limit_are_dropped_whole(excess: int, read: int, chunk: int) -> None:
+def test_decoder_drops_lines_beyond_the_limit(excess: int, read: int, chunk: int) -> None:
     line = b"ap01.00".rjust(MAX_LINE + excess - 8, b"x") + b",bp02.00"
     stream = line + b"\n" + GOOD + b"\n"
     decoder = Decoder()
@@ -195,7 +179,7 @@ def test_lines_beyond_the_limit_are_dropped_whole(excess: int, read: int, chunk:
     assert (readings[-1].speeds, decoder.refused) == (GOOD_SPEEDS, dropped)
 
 
-def test_a_note_is_kept_and_damages_nothing() -> None:
+def test_decoder_keeps_notes() -> None:
     decoder = Decoder()
     decoder.feed(b"# a cut: stalled\r\nap01.00\r\n# b cut\n# a cut: stalled\r\n# \xff\n")
     assert decoder.notes == ["b cut", "a cut: stalled", "\\xff"]

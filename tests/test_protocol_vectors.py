@@ -35,18 +35,18 @@ Vector = dict[str, Any]
 
 def named(section: str) -> pytest.MarkDecorator:
     """Run a test for each vector of a section."""
-    return pytest.mark.parametrize("vector", VECTORS[section], ids=lambda each: each["name"])
+    return pytest.mark.parametrize("vector", VECTORS[section], ids=lambda vector: vector["name"])
 
 
 def read(data: bytes, piece: int) -> list[list[float | None]]:
     """What the decoder reads of bytes that come in pieces."""
     decoder = Decoder()
     pieces = [data[start : start + piece] for start in range(0, len(data), piece)]
-    return [list(reading.speeds) for each in pieces for reading in decoder.feed(each)]
+    return [list(reading.speeds) for data in pieces for reading in decoder.feed(data)]
 
 
 @named("encode")
-def test_speeds_are_written_so(vector: Vector) -> None:
+def test_encode_writes_the_vectors(vector: Vector) -> None:
     line = vector["line"]
     assert LINE.fullmatch(line)
     assert encode(vector["speeds"], trailing_comma=False) == line.encode()
@@ -54,13 +54,13 @@ def test_speeds_are_written_so(vector: Vector) -> None:
 
 
 @named("encode_refused")
-def test_what_is_no_number_is_never_sent(vector: Vector) -> None:
+def test_encode_refuses_the_vectors(vector: Vector) -> None:
     with pytest.raises(CommandError):
         encode([float(speed) for speed in vector["speeds"]])
 
 
 @named("decode")
-def test_bytes_are_read_so_whatever_their_pieces(vector: Vector) -> None:
+def test_decoder_reads_the_vectors_in_any_pieces(vector: Vector) -> None:
     expected = vector.get("tolerant", vector["lines"])
     data = vector["bytes"].encode("latin-1")
     for piece in (1, 7, len(data)):
@@ -68,11 +68,11 @@ def test_bytes_are_read_so_whatever_their_pieces(vector: Vector) -> None:
 
 
 @named("decode_tolerant")
-def test_hosts_read_numbers_that_are_not_padded(vector: Vector) -> None:
+def test_decoder_reads_the_tolerant_vectors(vector: Vector) -> None:
     assert read(vector["bytes"].encode("latin-1"), 3) == vector["lines"]
 
 
-def test_the_page_says_what_the_code_does() -> None:
+def test_protocol_page_agrees_with_the_code() -> None:
     rules = dict(re.findall(r"^([\w-]+) += ([^;\n]*?) *(?:;.*)?$", PAGE, re.M))
     assert rules.items() >= TERMINALS.items()
     assert f"A line is {LINE_BYTES} bytes, {LINE_BYTES + 1} with the comma" in PAGE
@@ -80,7 +80,7 @@ def test_the_page_says_what_the_code_does() -> None:
     assert PAGE.splitlines()[2].startswith(f"Version {VECTORS['protocol']}.")
 
 
-def test_the_pages_script_makes_a_header(tmp_path: Path) -> None:
+def test_protocol_page_has_a_script_that_makes_a_header(tmp_path: Path) -> None:
     (tmp_path / "protocol-vectors.json").write_text(json.dumps(VECTORS))
     (code,) = re.findall(r"^```python\n(# make_vectors.py\n.*?)^```", PAGE, re.M | re.S)
     subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True, timeout=60)

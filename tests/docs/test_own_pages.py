@@ -33,7 +33,7 @@ ROBOT: dict[str, Any] = {
     "linear_limits": {"max_acceleration": 1.5, "max_jerk": 30.0},
     "angular_limits": {"max_acceleration": 6.0},
 }
-STEPS = 1000
+STEPS = 300
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +50,8 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     importlib.invalidate_caches()
     yield package
     sys.path.remove(str(folder))
-    for one in ("Clearance", "Park", "Feeling"):
-        gymnasium.registry.pop(f"mine/{one}-v0", None)
+    for task in ("Clearance", "Park", "Feeling"):
+        gymnasium.registry.pop(f"mine/{task}-v0", None)
     registry.REGISTERED.pop("corridors", None)
     for name in [name for name in sys.modules if name.split(".")[0] == "mine"]:
         del sys.modules[name]
@@ -64,32 +64,37 @@ def actions(robots: int, steps: int) -> np.ndarray[Any, np.dtype[np.float32]]:
     return np.repeat(pushes, 4, axis=0)[:steps].astype(np.float32)
 
 
-def test_a_batch_and_single_envs_are_equal(mine: Path) -> None:
+def test_own_task_is_equal_in_a_batch_and_in_single_envs(mine: Path) -> None:
     """Limits and a geofence included, through the ends of episodes."""
     importlib.import_module("mine.clearance")
     options: dict[str, Any] = {"robot": ROBOT, "worlds": "clutter:8"}
-    robots, checked = 64, 4
+    robots = 64
+    checked = 4
     batch: Any = gymnasium.make_vec(
         TASK, robots, vectorization_mode="vector_entry_point", autoreset_mode="NextStep", **options
     )
-    ones = [gymnasium.make(TASK, link="planar", **options) for _ in range(checked)]
+    singles = [gymnasium.make(TASK, link="planar", **options) for _ in range(checked)]
     observations, _ = batch.reset(seed=7)
-    for robot, env in enumerate(ones):
+    for robot, env in enumerate(singles):
         np.testing.assert_allclose(env.reset(seed=7 + robot)[0], observations[robot], atol=1e-6)
+
     over = [False] * checked
     held = 0
+    ends = 0
     for action in actions(robots, STEPS):
         observations, rewards, terminated, truncated, info = batch.step(action)
         held += int((info["sent_reason"] == 2.0).any())
-        for robot, env in enumerate(ones):
-            told: Any = env.reset() if over[robot] else env.step(action[robot])
-            reward, *ended = [0.0, False, False] if over[robot] else told[1:4]
-            np.testing.assert_allclose(told[0], observations[robot], atol=1e-6)
+        for robot, env in enumerate(singles):
+            single: Any = env.reset() if over[robot] else env.step(action[robot])
+            reward, *ended = [0.0, False, False] if over[robot] else single[1:4]
+            np.testing.assert_allclose(single[0], observations[robot], atol=1e-6)
             assert rewards[robot] == pytest.approx(reward, abs=1e-6)
             assert ended == [terminated[robot], truncated[robot]]
             over[robot] = any(ended)
+            ends += any(ended)
     assert held > 0  # the fence was met
-    for env in (*ones, batch):
+    assert ends > 0
+    for env in (*singles, batch):
         env.close()
 
 
@@ -115,30 +120,33 @@ def rollout(link: Any, steps: int) -> list[bytes]:
     faults = {"dropped_lines": 0.1}
     env = gymnasium.make(TASK, link=link, robot=ROBOT, worlds="open:8", lidar=Still, faults=faults)
     goal = {"goal": (3.0, 1.0)}
-    told = [env.reset(seed=3, options=goal)[0].tobytes()]
+    results = [env.reset(seed=3, options=goal)[0].tobytes()]
     for action in actions(1, steps)[:, 0]:
         observation, reward, terminated, truncated, info = env.step(action)
         assert info["fault"] == 0.0
-        told.append(observation.tobytes() + np.float64(reward).tobytes())
+        results.append(observation.tobytes() + np.float64(reward).tobytes())
         if terminated or truncated:
-            told.append(env.reset(options=goal)[0].tobytes())
+            results.append(env.reset(options=goal)[0].tobytes())
     env.close()
-    return told
+    return results
 
 
-def test_over_a_serial_port_it_is_the_same_to_the_bit(mine: Path, tmp_path: Path) -> None:
-    tape, config = tmp_path / "tape.mcap", RobotConfig.of(ROBOT)
+def test_own_task_is_the_same_to_the_bit_over_a_serial_port(mine: Path, tmp_path: Path) -> None:
+    tape = tmp_path / "tape.mcap"
+    config = RobotConfig.of(ROBOT)
     with recorded(open_link("planar", config), tape, config) as link:
-        told = rollout(link, STEPS)
+        results = rollout(link, STEPS)
     with playing(tape) as (port, heard):
-        assert rollout(TtyReplayLink(tape, port), STEPS) == told
+        assert rollout(TtyReplayLink(tape, port), STEPS) == results
         assert heard.get(timeout=5.0) == 0
 
 
-def test_on_hardware_the_sensor_reads_its_device(mine: Path) -> None:
+def test_own_sensor_reads_its_device_on_hardware(mine: Path) -> None:
     """Its link knows no truth; the newest whole line counts, and silence is a fault."""
-    finder, rays = (importlib.import_module(f"mine.{name}") for name in ("finder", "rays"))
-    link, config = SimpleNamespace(truth=None), RobotConfig()
+    finder = importlib.import_module("mine.finder")
+    rays = importlib.import_module("mine.rays")
+    link = SimpleNamespace(truth=None)
+    config = RobotConfig()
     sensor = finder.three_rays(link, config)
     assert type(finder.three_rays(open_link("planar", config), config)) is rays.ThreeRays
     board, device = pty.openpty()

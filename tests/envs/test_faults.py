@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from boards import FailingLink
 from env_tools import LINKS, SEEING, Make, inner
-from failing_link import FailingLink
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LidarError, LinkError

@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from board_like import LikeABoard
+from boards import LikeABoard
 from serial_tools import (
     CLI,
     DRIVER,

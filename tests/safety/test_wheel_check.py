@@ -10,11 +10,11 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
-import board_tools
+import boards
 import gymnasium
 import numpy as np
 import pytest
-from board_like import FAULTS, FaultyBoard, LikeABoard, Overshooting, make_fault
+from boards import FAULTS, FaultyBoard, LikeABoard, Overshooting, make_fault
 from serial_tools import StartEmulator, wait_until
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
@@ -95,7 +95,7 @@ def test_joints_in_ros_are_to_be_checked() -> None:
 @pytest.mark.parametrize("sign", [1, -1], ids=["as-wired", "as-mended"])
 def test_a_wheel_that_runs_away_on_the_board_is_stopped(sign: int) -> None:
     """At any sign in the robot's file, and at a slow command."""
-    link = LikeABoard(board_tools.board("runaway=a", robot=ACSAR))
+    link = LikeABoard(boards.board("runaway=a", robot=ACSAR))
     config = ACSAR.with_(wheels={"a": {"sign": sign}})
     assert find_fault(link, (0.05, 0.0), config)[1].wheel == "front_right"
 
@@ -176,7 +176,7 @@ def test_the_check_can_be_switched_off_and_leaves_simulated_robots() -> None:
     """A batch has no such check, and the single env must do the same."""
     links: list[tuple[Link, bool]] = [
         (board("dead"), False),
-        (board_tools.board("dead-wheel=a", robot=ACSAR), True),
+        (boards.board("dead-wheel=a", robot=ACSAR), True),
     ]
     for link, wheel_check in links:
         with Robot(link, ACSAR.with_(wheel_check=wheel_check)) as robot:

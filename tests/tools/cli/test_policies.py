@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from boards import FailingLink
 from cli_tools import Call, assert_one_line
-from failing_link import FailingLink
 
 from acsar_gym import open_link
 from acsar_gym.errors import BoardSilentError, EmergencyStopError

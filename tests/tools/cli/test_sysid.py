@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 import yaml
+from boards import make_link, parse_quirks
 from cli_tools import Call, assert_one_line
-from quirks import make_link, parse_quirks
 from rollout_tools import HIDDEN, random_steps
 from serial_tools import TRIALS, RobotFile, StartEmulator, cli
 

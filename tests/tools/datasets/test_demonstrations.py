@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from failing_link import FailingLink
+from boards import FailingLink
 from recording_tools import drive, record_drive, record_env
 
 from acsar_gym import Robot, RobotConfig, open_link

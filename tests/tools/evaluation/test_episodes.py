@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from failing_link import FailingLink
+from boards import FailingLink
 
 from acsar_gym import Link, RobotConfig, open_link
 from acsar_gym.envs import PointGoalEnv

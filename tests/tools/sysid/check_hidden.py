@@ -22,14 +22,14 @@ from typing import NamedTuple
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from quirks import apply_to_config, make_link, parse_quirks
+from boards import apply_to_config, make_link, parse_quirks
 from sysid_tools import TOLERANCES, draw_misfit, draw_motors, find_missed_truths, score_findings
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import AcsarError
 from acsar_gym.tools.sysid.identify import Identification, identify_device
 
-quirk_file = str(Path(__file__).parents[2] / "quirks.py")
+quirk_file = str(Path(__file__).parents[2] / "boards.py")
 PATIENT = RobotConfig.preset("acsar").with_(watchdog_timeout=2.0, feedback_timeout=5.0)
 """What is known of the robots, with the patience that a busy machine needs."""
 ENOUGH = 0.95

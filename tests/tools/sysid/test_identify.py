@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from quirks import apply_to_config, make_link, parse_quirks
+from boards import apply_to_config, make_link, parse_quirks
 from sysid_tools import ACSAR, drive_wire, find_missed_truths, score_findings
 
 from acsar_gym import RobotConfig, open_link

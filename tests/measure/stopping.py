@@ -1,38 +1,49 @@
-"""How soon wheels are commanded to stop after a fault of the driving program: `make stopping`.
+"""Measure how soon wheels are commanded to stop after a fault of the program: `make stopping`.
 
-Three processes take part: the emulator, whose log contains the times of commands; a new program for
-each trial, which drives at 100 Hz; and this process, which causes faults. All use the same
+Three processes take part: the emulator, whose log contains the times of commands, a new program for
+each trial, which drives at 100 Hz, and this process, which causes faults. All use the same
 monotonic clock. The measured time is from the fault to the first zero command at the emulator,
-which polls every 5 ms. While a cable is unplugged no command can arrive: there it starts when the
-cable is plugged in again.
+which polls every 5 ms. While a cable is unplugged no command can arrive, so the time starts when
+the cable is plugged in again.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import math
 import os
 import random
 import signal
-import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 from nursery import Program, first_line, nursery, program
 from rich.console import Console
 from rich.table import Table
 from serial_tools import Emulated, start
-from stop_times import FAULT_JITTER, LIMIT, MAX_STARTS, find_stop, list_commands
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import AcsarError
 from acsar_gym.guard.estop import stop_all
+from acsar_gym.protocol import ZERO, Decoder
 from acsar_gym.testing import EmulatedBoard
 
+LIMIT = 0.25
+"""Longest time from a fault to a zero command [s]."""
+MAX_STARTS = 3
+"""Number of times that a trial is repeated because a busy computer didn't drive the robot."""
+FAULT_JITTER = 0.02
+"""Faults happen within this time, at any phase of the control loop [s]."""
+ZERO_TIMEOUT = 3.0
+"""Longest wait for a zero command [s]."""
+QUIET_TIME = 1.0
+"""Time after a zero command without other commands [s]. A reset takes half of it."""
 KINDS = {
     "kill": "the program is killed (SIGKILL)",
     "hang": "the program hangs",
@@ -54,12 +65,6 @@ SIGNALS = {
     "ctrl-z": signal.SIGTSTP,
 }
 """Signals that are sent to the program, by kind."""
-ZERO_TIMEOUT = 3.0
-"""Longest wait for a zero command [s]."""
-QUIET_TIME = 1.0
-"""Time after a zero command without other commands [s]; a reset takes half of it."""
-UNPLUGGED_TIME = (0.05, 0.5)
-"""Range of the random time for which a cable is unplugged [s]."""
 DRIVING = """
 import os, signal, sys, threading, time
 
@@ -107,7 +112,7 @@ while True:
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """Times from a kind of fault to the zero command [s]; inf if there was none."""
+    """Times from a kind of fault to the zero command [s]. They are inf if there was none."""
 
     kind: str
     times: tuple[float, ...]
@@ -123,6 +128,32 @@ class Stops:
         return self.in_time == len(self.times)
 
 
+def list_commands(board: EmulatedBoard) -> Iterator[tuple[float, bool]]:
+    """When each command came [s], and whether it turned wheels."""
+    decoder = Decoder()
+    for event in board.events():
+        for reading in decoder.feed(event.get("rx", "").encode("latin-1")):
+            yield event["t"], reading.speeds != ZERO
+
+
+def find_stop(commands: Iterable[tuple[float, bool]], fault: float) -> float:
+    """Return when a robot was commanded to stop and not to drive again [s]. inf if it wasn't.
+
+    That is the first zero command after the fault, or the last one if all came before it.
+
+    Args:
+        commands: When each came [s], and whether it turned wheels.
+        fault: Time of the fault [s].
+    """
+    zero = math.inf
+    for when, turns in commands:
+        if turns:
+            zero = math.inf
+        elif zero == math.inf or zero < fault:
+            zero = when
+    return zero
+
+
 def measure(
     trials: int,
     kinds: Sequence[str] = tuple(KINDS),
@@ -134,25 +165,22 @@ def measure(
     Args:
         trials: Number of trials of each kind.
         kinds: Keys of KINDS.
-        config: Robot configuration; None for the ACSAR robot.
+        config: Robot configuration. None for the ACSAR robot.
         board: Command of another program with the emulator's --log, --name, output and signals.
     """
-    with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder:
+    with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder, nursery():
         os.environ.setdefault("ACSAR_GYM_RUNTIME_DIR", folder)  # other robots aren't stopped
-        with nursery():
-            device = Path(folder, "robot")
-            robot_file = Path(folder, "robot.yaml")
-            robot_file.write_text(RobotConfig.of(config).model_dump_json())  # YAML contains JSON
-            options = ["--name", str(device)]
-            if board is None:
-                options += ["--robot", str(robot_file)]
-            emulated = start(Path(folder, "log.jsonl"), *options, board=board)
-            try:
-                for kind in kinds:
-                    times = [_time_stop(kind, emulated, device, robot_file) for _ in range(trials)]
-                    yield Stops(kind, tuple(times))
-            finally:
-                emulated.end()
+        device = Path(folder, "robot")
+        robot_file = Path(folder, "robot.yaml")
+        RobotConfig.of(config).save(robot_file)
+        options = ["--name", str(device)]
+        if board is None:
+            options += ["--robot", str(robot_file)]
+        emulated = start(Path(folder, "log.jsonl"), *options, board=board)
+        with contextlib.closing(emulated):
+            for kind in kinds:
+                times = [_time_stop(kind, emulated, device, robot_file) for _ in range(trials)]
+                yield Stops(kind, tuple(times))
 
 
 def _time_stop(kind: str, board: Emulated, device: Path, robot_file: Path) -> float:
@@ -177,7 +205,7 @@ def _time_stop(kind: str, board: Emulated, device: Path, robot_file: Path) -> fl
 
 @contextlib.contextmanager
 def faulty_program(kind: str, board: Emulated, device: Path, robot_file: Path) -> Iterator[float]:
-    """Start a program that drives until a fault, as a context manager; the time of the fault [s].
+    """Start a program that drives until a fault, as a context manager of the fault's time [s].
 
     Raises:
         AcsarError: The program didn't drive.
@@ -211,14 +239,14 @@ def _cause_fault(kind: str, process: Program, board: Emulated, terminal: int) ->
         stop_all()
     else:
         board.pull()
-        time.sleep(random.uniform(*UNPLUGGED_TIME))
+        time.sleep(random.uniform(0.05, 0.5))
         fault = time.monotonic()
         board.plug()
     return fault
 
 
 def _wait_for_stop(board: EmulatedBoard, fault: float) -> float:
-    """Return the time at which the board was commanded to stop for good [s]; inf if never."""
+    """Return the time at which the board was commanded to stop for good [s]. inf if never."""
     while time.monotonic() < fault + ZERO_TIMEOUT + QUIET_TIME:
         time.sleep(0.02)
         zero = find_stop(list_commands(board), fault)
@@ -227,25 +255,34 @@ def _wait_for_stop(board: EmulatedBoard, fault: float) -> float:
     return find_stop(list_commands(board), fault)
 
 
+def add_row(table: Table, name: str, times: Sequence[float], limit: float) -> None:
+    """Add times to a table and print them, because trials take long."""
+    cells = [f"{figure(times) * 1000.0:.1f}" for figure in (min, median, max)]
+    in_time = sum(duration <= limit for duration in times)
+    cells.append(f"{in_time} of {len(times)} within {limit * 1000.0:.0f}")
+    table.add_row(name, *cells)
+    print(name, *cells, sep="  ", file=sys.stderr, flush=True)
+
+
+def make_table() -> Table:
+    """Make an empty table for `add_row`."""
+    columns = ("fault", "min", "median", "max", "in time")
+    return Table(*columns, title="milliseconds from fault to zero command")
+
+
 def main() -> int:
-    """Print a table; exit code 0 if every zero command came in time."""
+    """Print a table. The exit code is 0 if every zero command came in time."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=20, help="of each kind of fault")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS), metavar="KIND")
     parser.add_argument("--board", help="command that emulates the board; see `measure`")
     options = parser.parse_args()
 
-    table = Table("fault", title="milliseconds from fault to zero command")
-    for name in ("min", "median", "max", f"within {LIMIT * 1000.0:.0f}"):
-        table.add_column(name, justify="right")
+    table = make_table()
     is_sound = True
     for stops in measure(options.trials, options.kinds, board=options.board):
         is_sound = is_sound and stops.is_sound
-        figures = (min(stops.times), statistics.median(stops.times), max(stops.times))
-        cells = [f"{figure * 1000.0:.1f}" for figure in figures]
-        cells.append(f"{stops.in_time} of {len(stops.times)}")
-        table.add_row(KINDS[stops.kind], *cells)
-        print(KINDS[stops.kind], *cells, sep="  ", file=sys.stderr)
+        add_row(table, KINDS[stops.kind], stops.times, LIMIT)
     Console().print(table)
     return int(not is_sound)
 

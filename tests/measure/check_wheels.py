@@ -19,7 +19,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from board_like import FAULTS, FaultyBoard, make_fault
+from boards import FAULTS, FaultyBoard, make_fault
 from rich.console import Console
 from rich.table import Table
 
@@ -49,9 +49,8 @@ ROUNDS = 4  # of the steady drives; in half of them the fault happens while driv
 POLICY_SEEDS = 8
 FAULT_DELAY = (0.5, 2.0)  # range of the time from the first command to a fault while driving [s]
 DURATION = 6.0  # of a steady drive [s]
-PATIENCE = (
-    3.0  # a fault isn't found if a policy drives on for this long; shorter drives don't count
-)
+PATIENCE = 3.0
+"""A fault isn't found if a policy drives on for this long [s]. Shorter drives don't count."""
 MOTORS: tuple[dict[str, float], ...] = (
     {"time_constant": 0.3},
     {"time_constant": 0.3, "deadband": 1.5},
@@ -88,40 +87,50 @@ class CheckedLink(FaultyBoard):
             raise
         return data
 
-
-def drive_steadily(robot: Robot, twist: tuple[float, float], ticks: int) -> None:
-    """Drive at a share of the full speeds, after up to 0.2 s at rest."""
-    for _ in range(ticks % 20):
-        robot.drive(0.0, 0.0)
-    for _ in range(round(DURATION / robot.config.period)):
-        robot.drive(twist[0] * robot.config.max_linear, twist[1] * robot.config.max_angular)
+    @property
+    def delay(self) -> float:
+        """Time from the fault to the error [s]. Infinite without an error."""
+        return math.inf if self.error is None else self.now() - self.failed_at
 
 
-def find_after(link: CheckedLink) -> float:
-    """Return the time from the fault to the error [s]; infinite without an error."""
-    return math.inf if link.error is None else link.now() - link.failed_at
+def make_faulty(kind: str, config: RobotConfig, seed: int, *, driving: bool) -> CheckedLink:
+    """Make a robot with a fault from its first command, or while it is driving."""
+    rng = np.random.default_rng(seed)
+    fault = make_fault(kind, wheel=int(rng.integers(4)))
+    after = rng.uniform(*FAULT_DELAY) if driving else 0.0
+    return CheckedLink(open_link("planar", config), rng, config, fault=fault, after=after)
 
 
-def check_steady(kind: str, rate: float, config: RobotConfig) -> list[float]:
+def check_steady(kind: str, config: RobotConfig) -> list[float]:
     """Return the times until a fault is found in steady drives [s]."""
     twists = CURVES if kind == "swapped sides" else STRAIGHT + CURVES
     times = []
-    for seed, twist in enumerate(twists * ROUNDS):
-        rng = np.random.default_rng(seed)
-        fault = make_fault(kind, wheel=int(rng.integers(4)))
-        after = rng.uniform(*FAULT_DELAY) if seed >= 2 * len(twists) else 0.0
-        link = CheckedLink(open_link("planar", config), rng, config, fault=fault, after=after)
-        with Robot(link, config) as robot:
-            with contextlib.suppress(WheelError):
-                drive_steadily(robot, twist, ticks=seed)
-            times.append(find_after(link))
+    for seed, (linear, angular) in enumerate(twists * ROUNDS):
+        link = make_faulty(kind, config, seed, driving=seed >= 2 * len(twists))
+        with Robot(link, config) as robot, contextlib.suppress(WheelError):
+            for _ in range(seed % 20):
+                robot.drive(0.0, 0.0)
+            for _ in range(round(DURATION / config.period)):
+                robot.drive(linear * config.max_linear, angular * config.max_angular)
+        times.append(link.delay)
+    return times
+
+
+def check_policies(kind: str, config: RobotConfig) -> list[float]:
+    """Return the times until a fault is found while policies drive [s]."""
+    times = []
+    for name, seed in itertools.product(STEERING, range(POLICY_SEEDS)):
+        link = make_faulty(kind, config, seed, driving=seed % 2 == 1)
+        end = drive_policy(name, link, config, seed)
+        if link.error is not None or end - link.failed_at > PATIENCE:
+            times.append(link.delay)
     return times
 
 
 def drive_policy(
     name: str, link: CheckedLink, config: RobotConfig, seed: int, **options: Any
 ) -> float:
-    """Drive a packaged policy for an episode, until the check ends it; returns its duration [s]."""
+    """Drive a packaged policy for an episode, and return its duration [s]."""
     policy = OnnxPolicy(resolve(name))
     env = gymnasium.make(f"acsar_gym/{POLICIES[name]}", link=link, robot=config, **options)
     inner: Any = env.unwrapped
@@ -132,35 +141,21 @@ def drive_policy(
         observation, _, terminated, truncated, _ = env.step(policy(observation))
         if terminated or truncated:
             break
+
     duration = link.now()
     env.close()
     return duration
 
 
-def check_policies(kind: str, rate: float, config: RobotConfig) -> list[float]:
-    """Return the times until a fault is found while policies drive [s]."""
-    times = []
-    for name, seed in itertools.product(STEERING, range(POLICY_SEEDS)):
-        rng = np.random.default_rng(seed)
-        fault = make_fault(kind, wheel=int(rng.integers(4)))
-        after = rng.uniform(*FAULT_DELAY) if seed % 2 else 0.0
-        link = CheckedLink(open_link("planar", config), rng, config, fault=fault, after=after)
-        end = drive_policy(name, link, config, seed)
-        if link.error is not None or end - link.failed_at > PATIENCE:
-            times.append(find_after(link))
-    return times
-
-
-def show_times(title: str, measure: Callable[[str, float, RobotConfig], list[float]]) -> None:
+def show_times(title: str, measure: Callable[[str, RobotConfig], list[float]]) -> None:
     """Measure and print the times for each fault and rate."""
-    table = Table(
-        "fault", *(f"{rate:g} Hz" for rate in RATES), title=f"{title}: median, maximum [s]"
-    )
+    rates = [f"{rate:g} Hz" for rate in RATES]
+    table = Table("fault", *rates, title=f"{title}: median, maximum [s]")
     for kind in FAULTS:
         row = []
         for rate in RATES:
             changes = {"firmware": {"feedback_rate": rate}, "feedback_timeout": 2.0}
-            times = measure(kind, rate, RobotConfig.preset("acsar").with_(**changes))
+            times = measure(kind, RobotConfig.preset("acsar").with_(**changes))
             row.append(f"{statistics.median(times):.2f}, {max(times):.2f}")
         table.add_row(kind, *row)
     Console(width=110).print(table)
@@ -182,18 +177,20 @@ def show_errors(body: str) -> None:
                 motor=motor,
                 feedback_timeout=2.0,
             )
+
             rng = np.random.default_rng(seed)
             link = CheckedLink(open_link(body, config), rng, known, dropped=DROPPED)
             drawn = randomization_level(config, LEVEL)
             minutes += drive_policy(name, link, config, seed, randomization=drawn) / 60.0
             if link.error is not None:
                 errors.append(f"{name} at {rate:g} Hz: {link.error.found}")
-        found = "\n".join([str(len(errors)), *errors])
-        table.add_row(preset, str(len(cases)), f"{minutes:.0f}", found)
+        report = "\n".join([str(len(errors)), *errors])
+        table.add_row(preset, str(len(cases)), f"{minutes:.0f}", report)
     Console(width=110).print(table)
 
 
 def main() -> None:
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--bodies", nargs="*", default=list(BODIES), choices=BODIES)
     parser.add_argument("--no-times", action="store_true", help="only drive sound robots")

@@ -1,0 +1,59 @@
+"""Faults that `make faults` plants are those of the named kinds, and leave the rest as it is."""
+
+from __future__ import annotations
+
+import pytest
+from plant_faults import ROOT, choose, find_tests, list_faults
+
+SOURCE = '''
+def area(sides: tuple[float, float] = (1.5, 2.0)) -> float:
+    """Text + text."""
+    LOG.info("%s", sides[0])
+    check(sides)
+    if max(sides) < 0:
+        raise ValueError(f"{sides[1]}" + str(sides[0]))
+    return -sides[0] - sum(sides[1:], start)
+'''
+
+
+def test_faults_are_of_each_kind() -> None:
+    faults = list_faults("area.py", SOURCE)
+    changed = [
+        after
+        for fault in faults
+        for before, after in zip(SOURCE.splitlines(), fault.apply(SOURCE).splitlines(), strict=True)
+        if before != after
+    ]
+    head = "def area(sides: tuple[float, float] = "
+    end = "    return "
+    assert sorted(changed) == sorted(
+        [
+            f"{head}(1.6500000000000001, 2.0)) -> float:",
+            f"{head}(1.5, 2.2)) -> float:",
+            "    pass",
+            "    if min(sides) < 0:",
+            "    if max(sides) <= 0:",
+            f"{end}-sides[0] + sum(sides[1:], start)",
+            f"{end}sides[0] - sum(sides[1:], start)",
+            f"{end}-sides[1] - sum(sides[1:], start)",
+            f"{end}-sides[0] - sum(sides[1 + 1:], start)",
+            f"{end}-sides[0] - sum(start, sides[1:])",
+        ]
+    )
+    kinds = {fault.kind for fault in choose(faults, 6, seed=0)}
+    assert kinds == {"sign", "bound", "unit", "index", "removed call", "swapped arguments"}
+
+
+@pytest.mark.parametrize(
+    ("file", "test"),
+    [
+        ("odometry.py", "tests/test_odometry.py"),
+        ("links/serial.py", "tests/links"),
+        ("vector/kernel/drive.py", "tests/vector"),
+        ("tools/jobs.py", "tests/tools/test_jobs.py"),
+        ("tools/cli/commands/drive.py", "tests/tools/cli"),
+    ],
+)
+def test_faults_are_tested_by_the_folder_of_the_package(file: str, test: str) -> None:
+    assert test in find_tests(f"acsar_gym/{file}")
+    assert all((ROOT / name).exists() for name in find_tests(f"acsar_gym/{file}"))
