@@ -50,7 +50,7 @@ def cell(
     condition: str = "nominal",
 ) -> Cell:
     """A cell of two scenes."""
-    return Cell(Agent(name, kind, ENV, IDLE, seed), SCENES, link, condition, count=2)
+    return Cell(Agent(name, kind, ENV, IDLE, seed), SCENES, link, condition)
 
 
 def driven(scores: Sequence[float] = (0.9, 0.8)) -> CellResult:

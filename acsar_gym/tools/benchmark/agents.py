@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from acsar_gym.resources import AGENTS, hash_modules
 from acsar_gym.sensors import MOVERS
 from acsar_gym.tools.baselines import AMONG_MOVERS, BASELINES, PRIVILEGED_BASELINES
 from acsar_gym.tools.benchmark.scenes import SceneSet, make_planar, short_id
-from acsar_gym.tools.evaluation import runs
+from acsar_gym.tools.evaluation.runs import load_policy
 from acsar_gym.tools.policies import CallablePolicy, FilePolicy, is_callable
 
 PACKAGED = "packaged"
@@ -24,32 +24,29 @@ BASELINE = "baseline"
 PRIVILEGED = "privileged"
 """Kinds of agents. A privileged agent is a baseline that knows the simulator's truth."""
 MAX_NAME_LENGTH = 60
-"""Most characters of an agent's name; tables stay readable."""
+"""Most characters of an agent's name, so that tables stay readable."""
+Sources = list[tuple[int | None, str]]
+"""Training seeds, and what `load_policy` takes."""
 
 
 @dataclass(frozen=True)
 class Agent:
-    """A policy that drives on one id: one training seed of a named agent."""
+    """A policy that drives on an id: a training seed of a named agent."""
 
     name: str
     kind: str
     """ "learned", "baseline" or "privileged"."""
     env: str
-    """Id of the env, with the module that registers it if the user named one."""
+    """Id of the env, with the module that registers it if the user named that."""
     policy: FilePolicy = field(repr=False)
     training_seed: int | None = None
-
-    @property
-    def id(self) -> str:
-        """Id of the env as results name it; see `scenes.short_id`."""
-        return short_id(self.env)
 
     @property
     def about(self) -> dict[str, Any]:
         """What results contain about it."""
         return {
             "kind": self.kind,
-            "id": self.id,
+            "id": short_id(self.env),
             "training_seed": self.training_seed,
             "file": self.policy.path.name,
             "sha256": _hash_policy(self.policy),
@@ -72,10 +69,10 @@ def choose_agents(
 
     Args:
         names: "packaged", baselines, folders in `trained`, ONNX files, and functions or classes
-            such as mine.planner:Planner; empty for those of the first three that can drive,
-            without baselines that know the simulator's truth.
+            such as mine.planner:Planner. If there are none, those of the first three that can
+            drive, without baselines that know the simulator's truth.
         sets: Scenes that they drive.
-        trained: Folder with NAME/SEED/policy.onnx; None for none.
+        trained: Folder with NAME/SEED/policy.onnx. None for none.
         seeds: Most training seeds of each.
 
     Raises:
@@ -83,25 +80,23 @@ def choose_agents(
         PolicyError: A policy can't be loaded.
     """
     envs = list(dict.fromkeys(scenes.env for scenes in sets))
-    files = {} if trained is None else find_trained(trained)
-    files = {name: policies[:seeds] for name, policies in files.items()}
-    files[PACKAGED] = [(None, file) for file in sorted((AGENTS / "policies").glob("*.onnx"))]
+    packaged = sorted((AGENTS / "policies").glob("*.onnx"))
+    files: dict[str, Sources] = {PACKAGED: [(None, str(file)) for file in packaged]}
+    for name, sources in find_trained(trained).items() if trained is not None else ():
+        files[name] = sources[:seeds]
 
     agents: list[Agent] = []
-    for name in dict.fromkeys(names or [PACKAGED, *files, *BASELINES]):
-        if name in files:
-            policies = [_read_agent(name, str(file), envs, seed) for seed, file in files[name]]
-        elif name in BASELINES:
-            policies = _make_baselines(name, envs, is_named=name in names)
-        elif ":" in name or Path(name).suffix in (".py", ".onnx"):
-            policies = _read_given(name, envs)
-        else:
-            raise ConfigError(
-                f"--agents {show_value(name)}{suggest_name(name[:40], [*files, *BASELINES])}"
-            )
-        if name in names:
-            _check_ids(name, policies, sets)
-        agents += [agent for agent in policies if agent.env in envs]
+    for name in dict.fromkeys(names or [*files, *BASELINES]):
+        chosen = list(_load_agents(name, files, envs))
+        if not names:
+            chosen = [agent for agent in chosen if _is_default(agent)]
+        for scenes in sets if names else ():
+            if scenes.env not in [agent.env for agent in chosen]:
+                raise ConfigError(
+                    f"--agents {name}: has no policy for {scenes.id} of set {scenes.name}: name "
+                    "other --sets, or leave it out"
+                )
+        agents += chosen
 
     counts = Counter((agent.name, agent.env, agent.training_seed) for agent in agents)
     for (name, env_id, _), count in counts.items():
@@ -110,70 +105,59 @@ def choose_agents(
                 f"--agents: {count} of them are called {show_value(name)} on {env_id}: rename a "
                 "file, function or class"
             )
-    if not agents:
-        raise ConfigError("--agents: none of them drives these --sets")
     return agents
 
 
-def _check_ids(name: str, agents: Sequence[Agent], sets: Sequence[SceneSet]) -> None:
-    """Raise ConfigError if an agent that the user named has no policy for the id of a set."""
-    ids = sorted({agent.id for agent in agents})
-    for scenes in sets:
-        if scenes.id not in ids:
-            raise ConfigError(
-                f"--agents {name}: has no policy for {scenes.id} of set {scenes.name}, but for "
-                f"{', '.join(ids)}: name other --sets, or leave it out"
-            )
+def _load_agents(name: str, files: dict[str, Sources], envs: Sequence[str]) -> Iterator[Agent]:
+    """Load an agent for each id that it drives."""
+    label = name
+    kind = LEARNED
+    sources: Sources = [(None, name)]
+    if name in files:
+        sources = files[name]
+    elif name in BASELINES:
+        kind = PRIVILEGED if name in PRIVILEGED_BASELINES else BASELINE
+    elif ":" in name or Path(name).suffix in (".py", ".onnx"):
+        path, _, function = name.rpartition(":")
+        is_file = not path or Path(path).suffix == ".py"
+        label = Path(path or name).stem if is_file else function
+    else:
+        raise ConfigError(
+            f"--agents {show_value(name)}{suggest_name(name[:40], [*files, *BASELINES])}"
+        )
+
+    for seed, source in sources:
+        named_id = "" if kind != LEARNED else _read_id(source, envs[0])
+        for env_id in envs:
+            if named_id in ("", short_id(env_id)):  # only users name ids of other packages
+                policy = load_policy(source, trust=False, env=env_id)
+                yield Agent(label[:MAX_NAME_LENGTH], kind, env_id, policy, seed)
 
 
-def _make_baselines(name: str, envs: Sequence[str], *, is_named: bool) -> list[Agent]:
-    """Make a baseline for each id; without its name only if it is made for the id."""
-    kind = PRIVILEGED if name in PRIVILEGED_BASELINES else BASELINE
-    if not is_named and kind == PRIVILEGED:
-        return []
-    return [
-        Agent(name, kind, env_id, runs.load_policy(name, trust=False, env=env_id))
-        for env_id in envs
-        if is_named or name not in AMONG_MOVERS or _senses_movers(env_id)
-    ]
+def _read_id(source: str, env_id: str) -> str:
+    """Return the id that a policy is for. Empty for code that names none."""
+    if is_callable(source):
+        return short_id(CallablePolicy(source, env_id).said_id)
+    return short_id(load_policy(source, trust=False).env_id)
 
 
-def _senses_movers(env_id: str) -> bool:
-    return any(sensor.name == MOVERS for sensor in make_planar(env_id).sensors)
+def _is_default(agent: Agent) -> bool:
+    """Whether an agent drives if none are named."""
+    if agent.name in AMONG_MOVERS:
+        return any(sensor.name == MOVERS for sensor in make_planar(agent.env).sensors)
+    return agent.kind != PRIVILEGED
 
 
-def _read_given(policy: str, envs: Sequence[str]) -> list[Agent]:
-    """Return a file, or Python code, as an agent on the id that it names, else on all."""
-    path, _, function = policy.rpartition(":")
-    is_file = not path or Path(path).suffix == ".py"
-    name = Path(path or policy).stem if is_file else function
-    if is_callable(policy) and not CallablePolicy(policy, envs[0]).said_id:
-        return [
-            Agent(name, LEARNED, env_id, runs.load_policy(policy, trust=False, env=env_id))
-            for env_id in envs
-        ]
-    return [_read_agent(name, policy, envs)]
-
-
-def find_trained(folder: Path) -> dict[str, list[tuple[int | None, Path]]]:
+def find_trained(folder: Path) -> dict[str, Sources]:
     """Find trained policies, `folder`/NAME/SEED/policy.onnx: seeds and files by name, in order."""
-    files: dict[str, list[tuple[int | None, Path]]] = {}
-    for file in folder.glob("*/*/policy.onnx"):
-        match = re.search(r"(\d+)\D*$", file.parent.name)
-        if match is None:
+    files: dict[str, Sources] = {}
+    for file in sorted(folder.glob("*/*/policy.onnx")):
+        digits = re.findall(r"\d+", file.parent.name)
+        if not digits:
             raise ConfigError(
                 f"{file}: its folder must be named after the seed, such as 0 or seed-0"
             )
-        files.setdefault(file.parts[-3], []).append((int(match[1]), file))
+        files.setdefault(file.parts[-3], []).append((int(digits[-1]), str(file)))
     if not files:
         raise ConfigError(f"--trained {folder}: holds no NAME/SEED/policy.onnx")
-    return {name: sorted(files[name]) for name in sorted(files)}
-
-
-def _read_agent(name: str, policy: str, envs: Sequence[str], seed: int | None = None) -> Agent:
-    """Load a policy for the id that it names; only users name ids of other packages."""
-    loaded = runs.load_policy(policy, trust=False)
-    env = next((env for env in envs if short_id(env) == short_id(loaded.env_id)), loaded.env_id)
-    if env in envs:
-        loaded = runs.load_policy(policy, trust=False, env=env)
-    return Agent(name[:MAX_NAME_LENGTH], LEARNED, env, loaded, seed)
+    return {name: sorted(sources) for name, sources in files.items()}

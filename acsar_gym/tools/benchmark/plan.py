@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ from acsar_gym.resources import PACKAGE, hash_sources
 from acsar_gym.tools.benchmark.agents import Agent
 from acsar_gym.tools.benchmark.figures import Scoring
 from acsar_gym.tools.benchmark.scenes import GIVEN, SceneSet, make_planar
-from acsar_gym.tools.evaluation.runs import EpisodeJob, SentPolicy
+from acsar_gym.tools.evaluation.runs import EpisodeJob, send_policy
 
 NOMINAL = "nominal"
 ROS2 = "ros2"
@@ -26,45 +26,30 @@ LINKS = (*BODIES, ROS2)
 class Condition:
     """What differs from the robot and the wire as configured."""
 
-    words: str
-    """What it is, for tables."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Fields of the robot's config that differ, as `RobotConfig.with_` takes them."""
     randomization: int = 0
-    """Level of `physics.randomization`; 0 for none."""
+    """Level of `physics.randomization`: 1 is half that of training, 2 the same, 3 twice that."""
     faults: Mapping[str, float] = field(default_factory=dict)
     """Faults of the wire, see `links.faults.Faults`. Such robots are driven one at a time."""
 
-    @property
-    def about(self) -> dict[str, Any]:
-        """The fields that aren't empty, for JSON."""
-        return {name: value for name, value in asdict(self).items() if value}
-
 
 CONDITIONS: dict[str, Condition] = {
-    NOMINAL: Condition("as configured"),
-    "randomization-1": Condition("half the randomization of training", randomization=1),
-    "randomization-2": Condition("the randomization of training", randomization=2),
-    "randomization-3": Condition("twice the randomization of training", randomization=3),
-    "dropped-2": Condition("2 % of the lines lost", faults={"dropped_lines": 0.02}),
-    "dropped-5": Condition("5 % of the lines lost", faults={"dropped_lines": 0.05}),
-    "level-2-dropped-2": Condition(
-        "randomization of training, 2 % of the lines lost",
-        randomization=2,
-        faults={"dropped_lines": 0.02},
-    ),
-    "late-lines": Condition("5 % of the lines 50 ms late", faults={"late_lines": 0.05}),
-    "scan-dropouts": Condition(
-        "10 % of the rays without echo", changes={"lidar": {"dropouts": 0.1}}
-    ),
-    "feedback-30": Condition("30 Hz feedback", changes={"firmware": {"feedback_rate": 30.0}}),
-    "feedback-20": Condition("20 Hz feedback", changes={"firmware": {"feedback_rate": 20.0}}),
-    "baud-38400": Condition("38400 baud", changes={"baud_rate": 38400}),
-    "command-delay": Condition(
-        "commands work 50 ms later", changes={"firmware": {"command_delay": 0.05}}
-    ),
+    NOMINAL: Condition(),
+    "randomization-1": Condition(randomization=1),
+    "randomization-2": Condition(randomization=2),
+    "randomization-3": Condition(randomization=3),
+    "dropped-2": Condition(faults={"dropped_lines": 0.02}),
+    "dropped-5": Condition(faults={"dropped_lines": 0.05}),
+    "level-2-dropped-2": Condition(randomization=2, faults={"dropped_lines": 0.02}),
+    "late-lines": Condition(faults={"late_lines": 0.05}),
+    "scan-dropouts": Condition({"lidar": {"dropouts": 0.1}}),
+    "feedback-30": Condition({"firmware": {"feedback_rate": 30.0}}),
+    "feedback-20": Condition({"firmware": {"feedback_rate": 20.0}}),
+    "baud-38400": Condition({"baud_rate": 38400}),
+    "command-delay": Condition({"firmware": {"command_delay": 0.05}}),
 }
-"""Conditions by name."""
+"""Conditions by name. Rates are in Hz, the delay in s, all others are shares."""
 
 
 class Place(NamedTuple):
@@ -86,8 +71,6 @@ class Cell:
     scenes: SceneSet
     link: str
     condition: str
-    count: int
-    """How many scenes are driven."""
 
     @property
     def place(self) -> Place:
@@ -102,7 +85,7 @@ class Cell:
 
     @property
     def scoring(self) -> Scoring:
-        """How its episodes are scored; ConfigError if the task doesn't report the score."""
+        """How its episodes are scored. ConfigError if the task doesn't report the score."""
         task = make_planar(self.scenes.env).task
         return Scoring.of(task, self.scenes.score, self.scenes.config.max_linear)
 
@@ -112,24 +95,18 @@ class Cell:
         condition = CONDITIONS[self.condition]
         config = self.scenes.config.with_(**condition.changes)
         level = condition.randomization
-
         options = {
             "worlds": self.scenes.worlds,
             "difficulty": self.scenes.difficulty,
             "randomization": randomization_level(config, level) if level else None,
             "faults": dict(condition.faults) or None,
         }
-        return EpisodeJob(
-            policy=SentPolicy.of(self.agent.policy),
-            link=self.link,
-            robot=config,
-            options=options,
-            resets=self.scenes.resets(self.count),
-        )
+        load = send_policy(self.agent.policy)
+        return EpisodeJob(load, self.link, config, options=options, resets=self.scenes.resets)
 
 
 def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
-    """Raise ConfigError for the first name that isn't known, with the one that may be meant."""
+    """Raise ConfigError for the first name that isn't known, with the name that may be meant."""
     for name in names:
         if name not in known:
             raise ConfigError(f"{option} {show_value(name)}{suggest_name(name[:40], known)}")
@@ -149,7 +126,7 @@ class Plan:
     links: tuple[str, ...] = ("planar", "bullet")
     conditions: tuple[str, ...] = (NOMINAL,)
     count: int = 200
-    """Scenes of every cell; fewer if a folder holds fewer."""
+    """Scenes of every cell, fewer if a folder holds fewer."""
 
     def __post_init__(self) -> None:
         check_names("--links", self.links, LINKS)
@@ -160,7 +137,7 @@ class Plan:
             cell.scoring  # noqa: B018 - before anything drives
 
     def check(self) -> None:
-        """Compare the scenes with the recorded ones; ConfigError if they are others."""
+        """Compare the scenes with the recorded ones. ConfigError if they differ."""
         for scenes in self.sets:
             scenes.check(self.count_scenes(scenes))
 
@@ -170,27 +147,25 @@ class Plan:
 
     def cells(self) -> Iterator[Cell]:
         """Yield the cells, of one set and link after the other."""
-        for scenes, condition, link in product(self.sets, self.conditions, self.links):
-            count = self.count_scenes(scenes)
+        for scenes, link, condition in product(self.sets, self.links, self.conditions):
+            driven = replace(scenes, numbers=scenes.numbers[: self.count_scenes(scenes)])
             for agent in self.agents:
                 if agent.env == scenes.env:
-                    yield Cell(agent, scenes, link, condition, count)
+                    yield Cell(agent, driven, link, condition)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the plan for JSON, with hashes; equal plans give equal results."""
+        """Return the plan for JSON, with hashes. Equal plans give equal results."""
         agents: dict[str, list[dict[str, Any]]] = {}
         for agent in self.agents:
             agents.setdefault(agent.name, []).append(agent.about)
-
-        sets = {
-            f"{scenes.id} {scenes.name}": scenes.about | {"count": self.count_scenes(scenes)}
-            for scenes in self.sets
-        }
         return {
             "version": acsar_gym.__version__,
             "sources": hash_sources(PACKAGE),
             "agents": agents,
             "links": list(self.links),
-            "conditions": {name: CONDITIONS[name].about for name in self.conditions},
-            "scenes": sets,
+            "conditions": {name: asdict(CONDITIONS[name]) for name in self.conditions},
+            "scenes": {
+                f"{scenes.id} {scenes.name}": scenes.about | {"count": self.count_scenes(scenes)}
+                for scenes in self.sets
+            },
         }

@@ -1,22 +1,20 @@
-"""Runs a plan in a folder of its own, where each result is kept at once.
+"""Runs a plan in its own folder, where each result is kept at once.
 
 | file | content |
 |---|---|
-| `plan.json` | what is measured, with hashes; see `Plan.as_dict` |
+| `plan.json` | what is measured, with hashes, see `Plan.as_dict` |
 | `cells.jsonl` | a line for each finished cell, from which `--resume` continues |
-| `benchmark.json` | the result; see `table.make_result` |
+| `benchmark.json` | the result, see `table.make_result` |
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
-import math
 import shlex
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import count
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,21 +22,18 @@ from acsar_gym import reading
 from acsar_gym.errors import CancelledError, ConfigError, PolicyError, explain_error
 from acsar_gym.tools.benchmark.figures import score_episode
 from acsar_gym.tools.benchmark.plan import ROS2, Cell, Plan
-from acsar_gym.tools.benchmark.table import CellResult, describe_cell
+from acsar_gym.tools.benchmark.table import CellResult
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.runs import EpisodeJob
 from acsar_gym.tools.jobs import run_jobs
+from acsar_gym.tools.training.folders import make_folder
 
-RUNS = Path("runs/benchmark")
-"""Folder of the folders of benchmarks."""
 PLAN_FILE = "plan.json"
 CELLS_FILE = "cells.jsonl"
 RESULT_FILE = "benchmark.json"
 MAX_FILE_BYTES = 2_000_000_000
-"""Largest accepted file of a folder [bytes]; 1,000 episodes have 0.6 MB."""
-WHOLE_FIELDS = ("seed", "world", "timing")
-"""Fields of an episode for which None isn't NaN."""
+"""Largest accepted file of a folder [bytes]. 1,000 episodes have 0.6 MB."""
 
 
 def open_folder(plan: Plan, out: Path | None, resume: Path | None) -> Path:
@@ -46,59 +41,53 @@ def open_folder(plan: Plan, out: Path | None, resume: Path | None) -> Path:
 
     Args:
         plan: The plan.
-        out: New or empty folder; by default the next number in RUNS.
+        out: New or empty folder, by default the next of runs/benchmark.
         resume: Folder of a benchmark that is to be continued.
 
     Raises:
         ConfigError: `out` isn't empty, or `resume` was made by another plan.
     """
     about = json.loads(json.dumps(plan.as_dict()))
-    if resume is not None:
-        text = reading.read_file(resume / PLAN_FILE, MAX_FILE_BYTES)
-        if difference := find_difference(reading.parse_json(text), about):
+    if resume is None:
+        if out is not None and out.is_dir() and any(out.iterdir()):
             raise ConfigError(
-                f"--resume {resume}: {difference} has changed since the benchmark was started: "
-                "start a new one, without --resume"
+                f"--out {out}: isn't empty: name a new folder, or --resume {shlex.quote(str(out))}"
             )
-        return resume
+        folder = make_folder(out, "benchmark")
+        report.write_json(folder / PLAN_FILE, about)
+        return folder
 
-    folder = out or _next_folder(RUNS)
-    report.make_folder(folder)
-    if any(folder.iterdir()):
-        raise ConfigError(f"--out {folder}: isn't empty: name a new folder, or --resume {folder}")
-    report.write_json(folder / PLAN_FILE, about)
-    return folder
-
-
-def _next_folder(parent: Path) -> Path:
-    """Make the folder with the next free number."""
-    report.make_folder(parent)
-    for number in count(1):
-        with contextlib.suppress(FileExistsError):
-            (parent / str(number)).mkdir()
-            return parent / str(number)
-    raise AssertionError  # there is always another number
+    # Results of a benchmark are comparable only if nothing has changed while it ran.
+    old = _flatten(reading.parse_json(reading.read_file(resume / PLAN_FILE, MAX_FILE_BYTES)))
+    new = _flatten(about)
+    for name in old | new:
+        if old.get(name) != new.get(name):
+            raise ConfigError(
+                f"--resume {resume}: {name} has changed since the benchmark was started: start a "
+                "new one, without --resume"
+            )
+    return resume
 
 
-def find_difference(one: Any, other: Any, name: str = "") -> str:
-    """Return the dotted name of the first difference between two plans; empty for none."""
-    if isinstance(one, dict) and isinstance(other, dict):
-        for key in [*one, *(key for key in other if key not in one)]:
-            if key not in one or key not in other:
-                return f"{name}{key}"
-            if difference := find_difference(one[key], other[key], f"{name}{key}."):
-                return difference
-        return ""
-    return "" if one == other else name.rstrip(".")
+def _flatten(value: Any, name: str = "") -> dict[str, Any]:
+    """Return all values of nested dicts by their dotted names."""
+    if not isinstance(value, dict):
+        return {name: value}
+    prefix = f"{name}." if name else ""
+    return {
+        path: leaf
+        for key, item in value.items()
+        for path, leaf in _flatten(item, f"{prefix}{key}").items()
+    }
 
 
 def run_plan(
     plan: Plan, folder: Path, *, workers: int | None = None, address: str | None = None
 ) -> dict[Cell, CellResult]:
-    """Drive the cells that aren't finished, and keep each at once; returns all in order.
+    """Drive the cells that aren't finished, and keep each at once. Returns all in order.
 
     Raises:
-        CancelledError: After Ctrl-C; its message names the command that continues.
+        CancelledError: After Ctrl-C. Its message names the command that continues.
     """
     plan.check()
     cells = list(plan.cells())
@@ -113,7 +102,7 @@ def run_plan(
             for number, result in report.watch_progress("cells", running, len(waiting)):
                 cell = waiting[number]
                 results[cell] = score_cell(cell, result)
-                write_results(folder, {cell: results[cell]}, mode="a")
+                append_result(folder, cell, results[cell])
     except KeyboardInterrupt as error:
         raise CancelledError(
             f"interrupted: {len(results)} of {len(cells)} cells are finished; the same command "
@@ -132,7 +121,7 @@ def drive_cell(job: EpisodeJob) -> CellResult:
     try:
         env = job.make_env()
     except PolicyError as error:
-        path = job.policy.load().path
+        path = job.load().path
         return CellResult(refused=str(error).replace(str(path), path.name))
     with contextlib.closing(env):
         episodes = list(job.drive(env))
@@ -149,41 +138,24 @@ def score_cell(cell: Cell, result: CellResult) -> CellResult:
 
 
 def read_results(folder: Path, cells: Sequence[Cell]) -> dict[Cell, CellResult]:
-    """Read the finished cells of a folder, and remove a last line that was cut."""
+    """Read the finished cells of a folder. A line that a full disk or a kill cut is left out."""
     file = folder / CELLS_FILE
-    if not file.exists():
-        return {}
-    results = {}
-    for line in reading.read_file(file, MAX_FILE_BYTES).splitlines(keepends=True):
-        if line.endswith(b"\n"):
-            data = reading.parse_json(line)
+    lines = reading.read_file(file, MAX_FILE_BYTES).splitlines() if file.exists() else []
+    results: dict[Cell, CellResult] = {}
+    for line in lines:
+        with contextlib.suppress(ValueError):
+            data = json.loads(line)
             (cell,) = [cell for cell in cells if cell.about.items() <= data.items()]
-            episodes = [_read_episode(values) for values in data["episodes"]]
+            episodes = [Episode(**values) for values in data["episodes"]]
             results[cell] = CellResult(episodes, data["seconds"], data["refused"])
-    write_results(folder, results, mode="w")
     return results
 
 
-def _read_episode(values: Mapping[str, Any]) -> Episode:
-    """Read an episode, in which None is NaN."""
-
-    def read(name: str, value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: read(key, number) for key, number in value.items()}
-        if isinstance(value, list):
-            return tuple(read(name, number) for number in value)
-        return math.nan if value is None and name not in WHOLE_FIELDS else value
-
-    return Episode(**{name: read(name, value) for name, value in values.items()})
-
-
-def write_results(folder: Path, results: Mapping[Cell, CellResult], mode: str) -> None:
-    """Write finished cells, a line each; ConfigError if that fails, as on a full disk."""
+def append_result(folder: Path, cell: Cell, result: CellResult) -> None:
+    """Write a finished cell on a new line, in which NaN stays NaN. ConfigError on a full disk."""
     file = folder / CELLS_FILE
     try:
-        with file.open(mode, encoding="utf-8") as stream:
-            for cell, result in results.items():
-                line = json.dumps(describe_cell(cell, result), allow_nan=False)
-                stream.write(f"{line}\n")
+        with file.open("a", encoding="utf-8") as stream:
+            stream.write(f"\n{json.dumps(cell.about | asdict(result))}")
     except OSError as error:
         raise ConfigError(f"{file}: {explain_error(error)}") from error

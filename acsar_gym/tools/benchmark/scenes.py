@@ -10,11 +10,12 @@ the open floor they are the seeds 2^33 to 2^33 + 999; trainings use seeds below 
 begins there. The published worlds of BARN are sets of their own, read from a folder.
 
 `scenes.json` has a hash for every 100 scenes, computed from their rounded obstacles, start and goal
-(and the path where there is nothing else). Where the generator, or the footprint of the robot that
-worlds are made for, has changed, the hashes differ and the set is refused: results from it couldn't
-be compared. After a change that is wanted, count up the generator's version in CHANGED_VERSIONS and
-write the hashes again: `record_hashes()`. Sets of other packages have the hash of their first 100
-scenes, which is part of each result, and nothing to compare it with.
+(and the path if nothing stands or moves). If the generator, or the footprint of the robot that
+worlds are made for, has changed, the hashes differ and the set is refused, because results from it
+couldn't be compared. After a change that is wanted, count up the generator's version in
+CHANGED_VERSIONS and write the hashes again with `tests/record_scenes.py`. Sets of other packages
+have the hash of their first 100 scenes, which is part of each result, and nothing to compare it
+with.
 """
 
 from __future__ import annotations
@@ -25,20 +26,21 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 from gymnasium.utils import seeding
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
-from acsar_gym.envs.ids import find_id, full_id, strip_module
+from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import ConfigError, show_value, suggest_name
-from acsar_gym.registration import IDS, SCENE_CHOICES, SceneChoice, snake_case
+from acsar_gym.errors import ConfigError, explain_error, show_value, suggest_name
+from acsar_gym.registration import IDS, SCENE_CHOICES, SceneChoice
 from acsar_gym.tasks import PointGoal
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.task import says_shortest_path
+from acsar_gym.tools.benchmark.figures import COMPLETION_TIME, SUCCESS
 from acsar_gym.tools.evaluation.provenance import hash_numbers, hash_source, hash_world
 from acsar_gym.worlds import registry
 from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
@@ -55,7 +57,7 @@ TRAIN = "train"
 VALIDATION = "validation"
 TEST = "test"
 GIVEN = "given"
-"""Splits of generated scenes; given ones are read from a folder."""
+"""Splits of generated scenes. Given scenes are read from a folder."""
 OWN_NAMESPACE = "acsar_gym/"
 """Namespace of this package's ids, which tables leave out."""
 DEFAULT_ROBOT = "acsar"
@@ -64,7 +66,7 @@ WIDE_ROBOT_DIFFICULTY = 0.2
 for these."""
 PUBLISHED_BARN = ("barn", "barn-fast")
 PUBLISHED_SUFFIX = "-published"
-"""Sets that are driven in the published worlds, too, and the end of their names there."""
+"""Sets that are driven in the published worlds as well, and the end of their names there."""
 OPEN_FLOOR_SEEDS = {
     TRAIN: range(2**32),
     VALIDATION: range(2**32, 2**32 + 64),
@@ -72,9 +74,7 @@ OPEN_FLOOR_SEEDS = {
 }
 """Seeds of the scenes on an open floor."""
 WORLD_SPLITS = {TRAIN: registry.TRAIN, VALIDATION: registry.VALIDATION, TEST: registry.BENCHMARK}
-MAX_RECORDED = 100_000
-"""Sets of more scenes aren't recorded: seeds of a training on an open floor."""
-_FILE = Path(__file__).with_name("scenes.json")
+HASHES = Path(__file__).with_name("scenes.json")
 
 TWO_ROBOTS = ("acsar", "jackal")
 THREE_ROBOTS = (*TWO_ROBOTS, "husky")
@@ -115,7 +115,7 @@ class SceneSet:
     name: str
     """Such as "barn-fast", or "clutter/husky" if the set has several robots."""
     source: str
-    """Generator of the worlds, or their folder; "" for an open floor."""
+    """Generator of the worlds, or their folder. "" for an open floor."""
     numbers: range
     """Numbers of the worlds, or seeds on an open floor."""
     split: str = TEST
@@ -142,25 +142,26 @@ class SceneSet:
 
     @property
     def worlds(self) -> str | None:
-        """What an env takes as `worlds=`; None on an open floor."""
+        """What an env takes as `worlds=`. None on an open floor."""
         if not self.source or self.split == GIVEN:
             return self.source or None
         return f"{self.source}:{self.numbers[0]}-{self.numbers[-1]}"
 
     @cached_property
     def config(self) -> RobotConfig:
-        """The robot; ConfigError if there is none of this name."""
+        """The robot. ConfigError if there is none of this name."""
         return RobotConfig.of(self.robot)
 
     @property
     def difficulty(self) -> float | None:
-        """Difficulty of the worlds; None varies it."""
+        """Difficulty of the worlds. None varies it."""
         is_wide = self.source == "barn" and footprint_radius(self.config) > BARN_ROBOT_RADIUS
         return WIDE_ROBOT_DIFFICULTY if is_wide else None
 
-    def resets(self, count: int) -> list[tuple[int, dict[str, Any]]]:
-        """Return seed and options of the resets that start the first scenes."""
-        return [(n, {"world": n} if self.source else {}) for n in self.numbers[:count]]
+    @property
+    def resets(self) -> list[tuple[int, dict[str, Any]]]:
+        """Seed and options of the resets that start the scenes."""
+        return [(number, {"world": number} if self.source else {}) for number in self.numbers]
 
     @property
     def key(self) -> str:
@@ -169,18 +170,16 @@ class SceneSet:
         return f"{self.source} {self.robot}" if is_other else self.source or "open"
 
     @property
-    def _recorded(self) -> list[str]:
-        """The hashes of `scenes.json`; none for scenes that aren't in it."""
-        recorded: dict[str, Any] = json.loads(_FILE.read_text())
-        return [] if self.split == GIVEN else list(recorded.get(self.key, {}).get(self.split, []))
+    def recorded(self) -> list[str]:
+        """The hash of every 100 scenes in `scenes.json`. Empty for scenes that aren't in it."""
+        splits: dict[str, list[str]] = json.loads(HASHES.read_text()).get(self.key, {})
+        return [] if self.split == GIVEN else splits.get(self.split, [])
 
     @cached_property
     def blocks(self) -> list[str]:
-        """Hash of every 100 scenes that are recorded; of others those of a folder, or the first."""
-        if recorded := self._recorded:
-            return recorded
+        """The recorded hashes. Of other worlds those of a folder, or of the first 100."""
         count = len(self) if self.split == GIVEN else min(len(self), SCENES_PER_HASH)
-        return hash_scenes(self, count) if self.source else []
+        return self.recorded or (hash_scenes(self, count) if self.source else [])
 
     @property
     def sha256(self) -> str:
@@ -207,28 +206,26 @@ class SceneSet:
         }
 
     def check(self, count: int) -> None:
-        """Compare the first scenes with the recorded hashes; makes their worlds once.
+        """Compare the first scenes with the recorded hashes, which makes their worlds once.
 
         Raises:
             ConfigError: There are fewer than `count`, or they are of another version.
         """
         if not 1 <= count <= len(self):
             raise ConfigError(f"{self}: has {len(self):,} scenes, {count:,} were asked for")
-        if not (recorded := self._recorded):
-            return
-        for place, now in enumerate(hash_scenes(self, count)):
-            if now != recorded[place]:
+        hashes = hash_scenes(self, count) if self.recorded else []
+        for place, (now, recorded) in enumerate(zip(hashes, self.recorded, strict=False)):
+            if now != recorded:
                 first = self.numbers[place * SCENES_PER_HASH]
                 raise ConfigError(
                     f"{self}: scene set of another version: scenes from {first} on differ from "
-                    f"version {self.version}; use the acsar_gym that the results are to be "
+                    f"version {self.version}. Use the acsar_gym that the results are to be "
                     "compared with"
                 )
 
 
-@dataclass(frozen=True)
-class Scenes:
-    """The scenes of one id by split, for the default robot."""
+class Scenes(NamedTuple):
+    """The scenes of an id by split, for the default robot."""
 
     train: SceneSet
     """For training."""
@@ -236,13 +233,6 @@ class Scenes:
     """For the choice among checkpoints and parameters."""
     test: SceneSet
     """For results."""
-
-    @classmethod
-    def of(cls, name: str, source: str) -> Scenes:
-        """Return the sets of an id of this package in worlds of a generator."""
-        splits = (TRAIN, VALIDATION, TEST)
-        env = f"{OWN_NAMESPACE}{name}"
-        return cls(*(SceneSet(env, s, source, split_numbers(source, s), s) for s in splits))
 
 
 def split_numbers(source: str, split: str) -> range:
@@ -252,12 +242,13 @@ def split_numbers(source: str, split: str) -> range:
     return registry.split_numbers(source, WORLD_SPLITS[split])
 
 
-SCENES: Mapping[str, Scenes] = {
-    name: Scenes.of(
-        name, next(iter(PACKAGED_CHOICES[f"{OWN_NAMESPACE}{name}"].values())).worlds or ""
-    )
-    for name in IDS
-}
+def _make_splits(env_id: str) -> Scenes:
+    """Return the splits of an id in the worlds of its first set."""
+    source = next(iter(PACKAGED_CHOICES[env_id].values())).worlds or ""
+    return Scenes(*(SceneSet(env_id, s, source, split_numbers(source, s), s) for s in WORLD_SPLITS))
+
+
+SCENES: Mapping[str, Scenes] = {name: _make_splits(f"{OWN_NAMESPACE}{name}") for name in IDS}
 """The scenes by id, without its namespace."""
 
 
@@ -266,52 +257,45 @@ def short_id(env_id: str) -> str:
     return strip_module(env_id).removeprefix(OWN_NAMESPACE)
 
 
-def find_env(name: str) -> str:
-    """Return the full id of an env: "barn" is "acsar_gym/Barn-v1"; ConfigError if unknown."""
-    env_id = full_id(name)
-    if env_id.startswith(OWN_NAMESPACE) and env_id.removeprefix(OWN_NAMESPACE) not in IDS:
-        names = [*IDS, *(snake_case(short.partition("-")[0]) for short in IDS)]
-        raise ConfigError(f"--env {show_value(name)}{suggest_name(name[:40], names)}")
-    return find_id(env_id)
-
-
 def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
-    """Return the benchmark's sets of scenes of an id, one for each robot.
+    """Return the benchmark's sets of scenes of an id, one set for each robot.
 
     Args:
-        env_id: Full id, with the module that registers it if that isn't imported yet.
+        env_id: Id, with the module that registers it if that isn't imported yet.
         robots: Robots instead of those that the sets name.
 
     Raises:
         ConfigError: It isn't an environment of acsar_gym, or its worlds can't be found.
     """
-    name = strip_module(find_id(env_id))
+    env_id = find_id(env_id)
+    name = strip_module(env_id)
     choices = PACKAGED_CHOICES.get(name) or SCENE_CHOICES.get(name) or {"test": SceneChoice()}
-    sets: list[SceneSet] = []
-
+    sets: dict[str, SceneSet] = {}
     for name, choice in choices.items():
         source = task_worlds(env_id) if choice.worlds is None else choice.worlds
-        is_generated = not source or registry.parse_known_name(source)
-        if is_generated:
-            numbers = split_numbers(source, TEST)
-        else:
-            numbers = range(len(read_pool(source, None, DEFAULT_ROBOT)))
+        is_generated = not source or bool(registry.parse_known_name(source))
+        numbers = split_numbers(source, TEST) if is_generated else number_worlds(source)
+        score = choice.score
+        if not score:
+            has_way = says_shortest_path(make_planar(env_id).task)
+            score = COMPLETION_TIME if has_way else SUCCESS
+
         for robot in dict.fromkeys(robots or choice.robots):
             label = Path(robot).stem if Path(robot).suffix else robot
-            scenes = SceneSet(
+            full_name = name if choice.robots == (robot,) else f"{name}/{label}"
+            if full_name in sets:
+                raise ConfigError(f"--robots: two of them are {label}: rename a file")
+            sets[full_name] = SceneSet(
                 env=env_id,
-                name=name if choice.robots == (robot,) else f"{name}/{label}",
+                name=full_name,
                 source=source,
                 numbers=numbers,
                 split=TEST if is_generated else GIVEN,
                 robot=robot,
-                score=choice.score or default_score(env_id),
+                score=score,
                 version=CHANGED_VERSIONS.get(source, SCENES_VERSION),
             )
-            if scenes.name in [chosen.name for chosen in sets]:
-                raise ConfigError(f"--robots: two of them are {label}: rename a file")
-            sets.append(scenes)
-    return sets
+    return list(sets.values())
 
 
 def choose_sets(
@@ -320,18 +304,18 @@ def choose_sets(
     """Choose sets by name: "clutter" means those of all its robots, "clutter/husky" one of them.
 
     Args:
-        envs: Ids as `find_env` returns them; by default all of this package.
-        names: Names of sets; by default all of the ids, or DEFAULT_SETS if no ids are named.
+        envs: Ids, by default all of this package.
+        names: Names of sets, by default all of the ids, or DEFAULT_SETS if no ids are named.
         robots: As for `find_sets`.
 
     Raises:
-        ConfigError: There is no set of this name.
+        ConfigError: There is no such id or set.
     """
-    ids = envs or [f"{OWN_NAMESPACE}{name}" for name in IDS]
     sets: dict[str, list[SceneSet]] = {}
-    for scenes in [scenes for env_id in dict.fromkeys(ids) for scenes in find_sets(env_id, robots)]:
-        for name in dict.fromkeys((scenes.name.partition("/")[0], scenes.name)):
-            sets.setdefault(name, []).append(scenes)
+    for env_id in dict.fromkeys(envs or PACKAGED_CHOICES):
+        for scenes in find_sets(env_id, robots):
+            for name in dict.fromkeys((scenes.name.partition("/")[0], scenes.name)):
+                sets.setdefault(name, []).append(scenes)
     wanted = names or ([] if envs else DEFAULT_SETS) or sets
     for name in wanted:
         if name not in sets:
@@ -339,13 +323,8 @@ def choose_sets(
     return list(dict.fromkeys(scenes for name in wanted for scenes in sets[name]))
 
 
-def default_score(env_id: str) -> str:
-    """Return the score of an id's scenes if its registration names none."""
-    return "completion_time" if says_shortest_path(make_planar(env_id).task) else "success"
-
-
 def task_worlds(env_id: str) -> str:
-    """Return the generator or folder that an id's task takes its worlds from; "" for none."""
+    """Return the generator or folder that an id's task takes its worlds from. "" for none."""
     pool = make_planar(env_id).pool
     if pool is None:
         return ""
@@ -359,31 +338,28 @@ def task_worlds(env_id: str) -> str:
 
 @cache
 def make_planar(env_id: str) -> RobotEnv:
-    """Make an env of an id, closed; ConfigError if it isn't an env of acsar_gym."""
+    """Make an env of an id, closed. ConfigError if it isn't an env of acsar_gym."""
     try:
-        env = gymnasium.make(env_id, link="planar").unwrapped
+        env = gymnasium.make(env_id, link="planar")
+        env.close()
     except (gymnasium.error.Error, ImportError, TypeError) as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(
-            f"--env {show_value(env_id)}: not an environment of acsar_gym: {reason}"
-        ) from error
-    env.close()
-    if not isinstance(env, RobotEnv):
+        raise ConfigError(f"--env {show_value(env_id)}: {explain_error(error)}") from error
+    if not isinstance(env.unwrapped, RobotEnv):
         raise ConfigError(f"--env {show_value(env_id)}: not an environment of acsar_gym")
-    return env
+    return env.unwrapped
 
 
 def published_sets(sets: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
     """Return copies of BARN's sets, of those that are driven in the published worlds, in these.
 
-    `folder` has `world_N.world` and `path_N.npy` or `path_files`; WorldError if not.
+    `folder` has `world_N.world` and `path_N.npy` or `path_files`. WorldError if not.
     """
     return [
         replace(
             scenes,
             name=f"{scenes.name}{PUBLISHED_SUFFIX}",
             source=str(folder),
-            numbers=range(len(read_pool(str(folder), None, scenes.robot))),
+            numbers=number_worlds(str(folder)),
             split=GIVEN,
         )
         for scenes in sets
@@ -391,23 +367,9 @@ def published_sets(sets: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
     ]
 
 
-def record_hashes() -> None:
-    """Write the hashes of all generated sets to `scenes.json`; takes some minutes."""
-    hashes: dict[str, Any] = {}
-    splits = [
-        s for scenes in SCENES.values() for s in (scenes.train, scenes.validation, scenes.test)
-    ]
-    driven = [scenes for name in IDS for scenes in find_sets(f"{OWN_NAMESPACE}{name}")]
-    for scenes in (*splits, *driven):
-        recorded = hashes.setdefault(scenes.key, {})
-        if len(scenes) <= MAX_RECORDED and scenes.split not in recorded:
-            recorded[scenes.split] = hash_scenes(scenes, len(scenes))
-    _FILE.write_text(json.dumps({"version": SCENES_VERSION, **hashes}, indent=1) + "\n")
-
-
 @cache
 def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
-    """Hash every 100 scenes as far as `count` needs; the last block may be a short one."""
+    """Hash every 100 scenes as far as `count` needs. The last block may be a short one."""
     numbers = scenes.numbers[: -(-count // SCENES_PER_HASH) * SCENES_PER_HASH]
     if scenes.source:
         pool = read_pool(scenes.worlds or "", scenes.difficulty, scenes.robot)
@@ -416,13 +378,16 @@ def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
         spawn = Spawn(PointGoal(), None, None, scenes.config)
         goals = [spawn.draw(seeding.np_random(seed)[0], {}).goal for seed in numbers]
         hashes = [hash_numbers([goal]) for goal in goals]
-    return [
-        hashlib.sha256(b"".join(hashes[first : first + SCENES_PER_HASH])).hexdigest()
-        for first in range(0, len(hashes), SCENES_PER_HASH)
-    ]
+    blocks = [hashes[i : i + SCENES_PER_HASH] for i in range(0, len(hashes), SCENES_PER_HASH)]
+    return [hashlib.sha256(b"".join(block)).hexdigest() for block in blocks]
 
 
 @cache
 def read_pool(source: str, difficulty: float | None, robot: str) -> Pool:
     """Read or generate worlds for the footprint of a robot."""
     return Pool.of(source, difficulty, footprint_radius(RobotConfig.of(robot)))
+
+
+def number_worlds(folder: str) -> range:
+    """Return the numbers of the worlds in a folder."""
+    return range(len(read_pool(folder, None, DEFAULT_ROBOT)))

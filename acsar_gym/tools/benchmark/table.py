@@ -7,24 +7,24 @@ Intervals of scores and means are those of the bootstrap over training seeds and
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import require_extra
 from acsar_gym.tools.benchmark.agents import BASELINE
 from acsar_gym.tools.benchmark.plan import Cell, Place
-from acsar_gym.tools.evaluation import metrics, provenance
+from acsar_gym.tools.evaluation import provenance
 from acsar_gym.tools.evaluation.episode import Episode
-from acsar_gym.tools.evaluation.metrics import TOLD_PREFIX, bootstrap_interval
+from acsar_gym.tools.evaluation.metrics import (
+    bootstrap_interval,
+    measure_figures,
+    replace_nonfinite,
+)
 
-Floats = NDArray[np.float64]
-BENCHMARK_SCHEMA = 5
+BENCHMARK_SCHEMA = 6
 """Version of `benchmark.json`."""
-TRIM = 0.25
-"""Share that the interquartile mean leaves out on each side."""
 COMPARED = ("score", "success")
 """Fields of `Episode` by whose means agents are compared with the best baseline."""
 
@@ -37,7 +37,7 @@ class CellResult:
     seconds: float = 0.0
     """CPU time that it took [s]."""
     refused: str = ""
-    """Why the agent couldn't drive there; empty if it did."""
+    """Why the agent couldn't drive there. Empty if it did."""
 
 
 @dataclass
@@ -52,58 +52,39 @@ class AgentRow:
     """Episodes of each training seed that drove."""
     refused: str = ""
 
-    def matrix(self, figure: str) -> Floats:
+    def matrix(self, name: str) -> NDArray[np.float64]:
         """Return a field of `Episode`, (training seeds, scenes)."""
-        return np.array(
-            [[float(getattr(episode, figure)) for episode in group] for group in self.groups]
-        )
+        return np.array([[getattr(e, name) for e in group] for group in self.groups], np.float64)
 
-    def as_dict(self, others: Sequence[AgentRow]) -> dict[str, Any]:
-        """Return figures, intervals and differences to the best baseline of `others`, for JSON."""
-        about = {
-            "agent": self.agent,
-            "kind": self.kind,
-            **self.place._asdict(),
-            "refused": "" if self.groups else self.refused,
-        }
+    def mean(self, name: str) -> float:
+        """Return the mean of a field over all episodes."""
+        return float(self.matrix(name).mean()) if self.groups else 0.0
+
+    def as_dict(self, rivals: Sequence[AgentRow]) -> dict[str, Any]:
+        """Return figures, intervals and differences to the best baseline of `rivals`, for JSON."""
+        about = {"agent": self.agent, "kind": self.kind, **self.place._asdict()}
         if not self.groups:
-            return about
-        with require_extra("a benchmark", "scipy"):
-            from scipy.stats import trim_mean  # noqa: PLC0415 - slow to import
-
-        episodes = [episode for group in self.groups for episode in group]
-        scores = self.matrix("score")
-        numbers = metrics.average_told(episodes)
-        intervals = metrics.find_intervals(self.groups)
-        intervals |= {
-            "score": bootstrap_interval(scores),
-            "score_iqm": bootstrap_interval(scores, trim=TRIM),
-        }
+            return about | {"refused": self.refused}
         return about | {
             "training_seeds": self.seeds,
-            "episodes": len(episodes),
-            "score": metrics.finite_mean(scores.ravel()),
-            "score_iqm": float(trim_mean(scores.ravel(), TRIM)),
-            **metrics.average(episodes),
-            **{f"{TOLD_PREFIX}{name}": value for name, value in numbers.items()},
-            "intervals": intervals,
-            "seed_scores": scores.mean(axis=1).tolist(),
+            "episodes": sum(map(len, self.groups)),
+            **measure_figures(self.groups),
+            "seed_scores": self.matrix("score").mean(axis=1).tolist(),
             "seed_success": self.matrix("success").mean(axis=1).tolist(),
-            "differences": {name: self._compare(name, others) for name in COMPARED},
+            "differences": {name: self._compare(name, rivals) for name in COMPARED},
         }
 
-    def _compare(self, figure: str, others: Sequence[AgentRow]) -> dict[str, Any] | None:
+    def _compare(self, name: str, rivals: Sequence[AgentRow]) -> dict[str, Any] | None:
         """Compare with the best baseline, in pairs of episodes of the same scene and seed.
 
-        Of baselines that succeed equally often, the best is the one with the highest score. None
-        if there is no other baseline.
+        Of baselines that succeed equally often, the best has the highest score. None if there is
+        no other baseline.
         """
-        baselines = [row for row in others if row.kind == BASELINE and row.groups]
-        baselines.sort(key=lambda row: -row.matrix("score").mean())
-        best = max(baselines, key=lambda row: row.matrix(figure).mean(), default=self)
+        baselines = [row for row in rivals if row.kind == BASELINE and row.groups]
+        best = max(baselines, key=lambda row: (row.mean(name), row.mean("score")), default=self)
         if best is self:
             return None
-        differences = self.matrix(figure) - best.matrix(figure)[:1]
+        differences = self.matrix(name) - best.matrix(name)[:1]
         return {
             "over": best.agent,
             "difference": float(differences.mean()),
@@ -112,17 +93,18 @@ class AgentRow:
 
 
 def make_rows(cells: Mapping[Cell, CellResult]) -> list[AgentRow]:
-    """Group cells to rows, of all training seeds of an agent."""
-    rows: dict[tuple[str, Place], AgentRow] = {}
+    """Group cells to rows, of all training seeds of an agent, the best score of a place first."""
+    rows: dict[tuple[Place, str], AgentRow] = {}
     for cell, result in cells.items():
         agent = cell.agent
         row = AgentRow(agent.name, agent.kind, cell.place)
-        row = rows.setdefault((agent.name, cell.place), row)
+        row = rows.setdefault((cell.place, agent.name), row)
         row.refused = row.refused or result.refused
         if result.episodes:
             row.seeds.append(agent.training_seed)
             row.groups.append(result.episodes)
-    return list(rows.values())
+    places = list(dict.fromkeys(place for place, _ in rows))
+    return sorted(rows.values(), key=lambda row: (places.index(row.place), -row.mean("score")))
 
 
 def make_result(plan: Mapping[str, Any], cells: Mapping[Cell, CellResult]) -> dict[str, Any]:
@@ -137,29 +119,22 @@ def make_result(plan: Mapping[str, Any], cells: Mapping[Cell, CellResult]) -> di
         |---|---|
         | `schema` | `BENCHMARK_SCHEMA` |
         | `header` | `versions`, and the plan: `scenes`, by id and set (`robot`, `score`, |
-        | | `sha256`, ...); `agents`, by name; `conditions`, by name; `links` |
+        | | `sha256`, ...), `agents`, by name, `conditions`, by name, `links` |
         | `cells` | a list: agent, training seed and place, `refused` (why it couldn't drive, |
         | | else ""), `seconds`, and `episodes`: the fields of every `Episode` |
         | `rows` | figures over all training seeds of an agent at a place, with `intervals`, |
         | | and `differences` of score and success to the best baseline in the same scenes |
     """
     rows = make_rows(cells)
-    result: dict[str, Any] = {
-        "schema": BENCHMARK_SCHEMA,
-        "header": {
-            "versions": provenance.library_versions(*provenance.DRIVING_LIBRARIES),
-            **plan,
-        },
-        "cells": [describe_cell(cell, result) for cell, result in cells.items()],
-        "rows": [
-            row.as_dict([rival for rival in rows if rival.place == row.place]) for row in rows
-        ],
-    }
-    cleaned: dict[str, Any] = metrics.replace_nonfinite(result)
-    return cleaned
-
-
-def describe_cell(cell: Cell, result: CellResult) -> dict[str, Any]:
-    """Return a cell and its result for JSON."""
-    cleaned: dict[str, Any] = metrics.replace_nonfinite(asdict(result))
-    return {**cell.about, **cleaned}
+    versions = provenance.library_versions(*provenance.DRIVING_LIBRARIES)
+    result: dict[str, Any] = replace_nonfinite(
+        {
+            "schema": BENCHMARK_SCHEMA,
+            "header": {"versions": versions, **plan},
+            "cells": [{**cell.about, **vars(result)} for cell, result in cells.items()],
+            "rows": [
+                row.as_dict([rival for rival in rows if rival.place == row.place]) for row in rows
+            ],
+        }
+    )
+    return result

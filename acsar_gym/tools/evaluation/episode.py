@@ -1,4 +1,4 @@
-"""The record of an episode, and the figures that are computed of it."""
+"""The record of an episode, and the figures that are computed from it."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym import reading
-from acsar_gym.config import RobotConfig
 from acsar_gym.config.footprint import Outline
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.lateness import EpisodeTiming
-from acsar_gym.tasks.episode import Assignment, RunningEpisode
+from acsar_gym.tasks.episode import Assignment
 from acsar_gym.tasks.task import info_names
 from acsar_gym.worlds import Pose, Region, World
 from acsar_gym.worlds.crowd import NO_HIT, PERSON_HIT
@@ -33,17 +32,18 @@ Floats = NDArray[np.float64]
 Resets = Sequence[tuple[int, Mapping[str, Any]]]
 """Seed and options of the reset of each episode."""
 MAX_LOG_BYTES = 1_000_000_000
-"""Largest accepted log of an emulator [bytes]; it grows by 1 MB a minute."""
+"""Largest accepted log of an emulator [bytes]. It grows by 1 MB a minute."""
 TRACK_KEYS = (
     *("odom_x", "odom_y", "odom_theta"),
     *("true_x", "true_y", "true_theta"),
     *("closest_person", "time_to_collision"),
 )
-"""Keys of info that make a row of a track; NaN if info doesn't have them."""
+"""Keys of info that make a row of a track, NaN if info doesn't have them, before the reward."""
 ODOM = slice(0, 3)
 TRUE = slice(3, 6)
 CLOSEST_PERSON = 6
 TIME_TO_COLLISION = 7
+REWARD = 8
 """Columns of a track."""
 
 
@@ -56,22 +56,21 @@ class Episode:
 
     seed: int | None = None  # of the reset
     world: Key | None = None
-    """Number of the world, or its name among several sets; -1 for a world or path given by the
+    """Number of the world, or its name among several sets. -1 for a world or path given by the
     user, None on an open floor."""
     success: bool
     collision: bool
-    """Whether a simulated robot touched an obstacle, or ran into somebody; always False on
-    hardware."""
+    """Whether a simulated robot touched an obstacle, or ran into somebody. False on hardware."""
     person_contact: float = math.nan
     """0 for none, 1 if the robot ran into somebody, which is a collision, 2 if somebody ran into
-    the robot, which is none; NaN where nobody moves."""
-    fault: str = ""  # fault of the link or board that ended the episode; empty if there was none
+    the robot, which isn't a collision. NaN if nobody moves."""
+    fault: str = ""  # fault of the link or board that ended the episode, if there was one
     valid: bool = True  # whether there was no fault, and no more late ticks than allowed
     started: float = 0.0  # time at which the first tick began, on the link's clock [s]
     ended: float = math.nan  # time at which the last tick ended, on the link's clock [s]
     length: int = 0  # number of policy steps
     ticks: int = 0
-    late_ticks: int = 0  # ticks that ended over a millisecond late; 0 in simulation
+    late_ticks: int = 0  # ticks that ended over a millisecond late, 0 in simulation
     episode_return: float = math.nan  # sum of the rewards
     path: float = math.nan  # length of the path driven, by odometry [m]
     driven: float = math.nan  # the same by ground truth if there is one, else by odometry [m]
@@ -81,13 +80,13 @@ class Episode:
     left: float = math.nan  # the same from the final position [m]
     turning: float = math.nan  # sum of absolute heading changes, by odometry [rad]
     jerk: float = math.nan
-    """Mean absolute jerk of the speed driven, by odometry [m/s^3]; see `mean_jerk`."""
+    """Mean absolute jerk of the speed driven, by odometry [m/s^3], see `mean_jerk`."""
     clearance: float = math.nan
     """Least distance of the footprint to an obstacle that stands [m], by ground truth at every env
-    step; 0 if it touched one."""
+    step. 0 if it touched such an obstacle."""
     closest_person: float = math.nan
     """Least distance of the footprint to somebody who moves [m], by ground truth at every env
-    step; 0 if they touched."""
+    step. 0 if they touched."""
     time_to_collision: float = math.nan
     """Least time until the robot would touch somebody if all kept their velocities [s], at every
     env step."""
@@ -97,12 +96,12 @@ class Episode:
     P of `physics.model.motor_power`."""
     odometry_error: float = math.nan  # distance between odometry and ground truth at the end [m]
     cross_track: float = math.nan  # mean cross-track error of path following [m]
-    score: float = math.nan  # of a scene of the benchmark; see `benchmark.figures.score_episode`
+    score: float = math.nan  # of a scene of the benchmark, see `benchmark.figures.score_episode`
     pose: Pose = (math.nan, math.nan, math.nan)  # odometry at the end (x [m], y [m], theta [rad])
     told: dict[str, float] = field(default_factory=dict)
-    """What the task told in info at the end, by name: its `told`."""
+    """The task's own numbers in info at the end, by name: its `told`."""
     timing: EpisodeTiming | None = None
-    """Timing statistics of the link; None in simulation, which has no timing errors."""
+    """Timing statistics of the link. None in simulation, which has no timing errors."""
 
     @property
     def time(self) -> float:
@@ -113,11 +112,6 @@ class Episode:
     def minutes(self) -> float:
         """Duration of the episode [min]."""
         return self.time / 60.0
-
-    @property
-    def driven_path(self) -> float:
-        """Length of the path driven, by ground truth if it is known [m]."""
-        return self.path if math.isnan(self.driven) else self.driven
 
     @property
     def spl(self) -> float:
@@ -131,10 +125,10 @@ class Episode:
 
     @property
     def _path_share(self) -> float:
-        """The shortest path as a share of the one driven, at most 1."""
+        """The shortest path as a share of the one driven, at most 1. NaN if it isn't known."""
         if math.isnan(self.shortest):
             return math.nan
-        return _divide(self.shortest, max(self.driven_path, self.shortest))
+        return _divide(self.shortest, max(self.driven, self.shortest))
 
 
 def describe_end(info: Mapping[str, Any]) -> dict[str, Any]:
@@ -154,7 +148,7 @@ def _divide(part: float, whole: float) -> float:
     return part / whole if whole > 0.0 else 1.0
 
 
-def known_pose(row: Sequence[float]) -> Pose:
+def known_pose(row: Sequence[float] | Floats) -> Pose:
     """Return the pose by ground truth if it is known, else by odometry, of a row of a track."""
     is_known = not math.isnan(row[TRUE][0])
     x, y, theta = map(float, row[TRUE if is_known else ODOM])
@@ -166,15 +160,15 @@ class Drive:
     """An episode that has ended, as an env or a robot of a batch leaves it."""
 
     seed: int
-    episode: RunningEpisode
-    """With its assignment, and the state at its end."""
+    assignment: Assignment
     track: Floats
-    """(steps + 1, len(TRACK_KEYS)): TRACK_KEYS at the reset and after every env step."""
+    """(steps + 1, len(TRACK_KEYS) + 1): numbers and reward of the reset and of every env step."""
     info: Mapping[str, Any]
     """Info of the last step."""
-    way: Floats | float | None
+    first_way: Floats | float | None
     """The task's shortest way from the start."""
-    total_reward: float
+    last_way: Floats | float | None
+    """The same from the end."""
     started: float
     """Time at which the first tick began, on the link's clock [s]."""
     ended: float
@@ -193,38 +187,36 @@ def measure_episode(env: RobotEnv, drive: Drive, late_share: float) -> Episode:
     config = env.robot.config
     info = drive.info
     steps = len(drive.track) - 1
-    assignment = drive.episode.assignment
-    end = describe_end(info)
+    assignment = drive.assignment
+    ending = describe_end(info)
 
-    # The poses by odometry and by ground truth.
+    # Poses by ground truth are better, but real robots have odometry only.
     odom = drive.track[:, ODOM]
     true = drive.track[:, TRUE]
     is_known = not math.isnan(true[-1, 0])
     poses = true if is_known else odom
 
     # The shortest paths from the start and from the end.
-    first_pose = known_pose(drive.track[0])
-    last_pose = known_pose(drive.track[-1])
-    last_way = drive.episode.shortest_path(last_pose)
-    shortest = measure_way(assignment, config, first_pose, drive.way, is_known=is_known)
-    left = measure_way(assignment, config, last_pose, last_way, is_known=is_known)
+    radius = footprint_radius(config)
+    shortest = measure_way(assignment, radius, drive.track[0], drive.first_way)
+    left = measure_way(assignment, radius, drive.track[-1], drive.last_way)
 
     # Contacts, and how near the robot came to what stands and to who moves.
-    nearest_to_people = np.fmin.reduce(drive.track)
-    touched_person = end["person_contact"] > NO_HIT
-    touched = info["true_contact"] == 1.0 and not touched_person
+    nearest = np.fmin.reduce(drive.track)
+    touched_person = ending["person_contact"] > NO_HIT
     clearance = math.nan
     if assignment.world is not None and assignment.world.obstacles and is_known:
+        touched = info["true_contact"] == 1.0 and not touched_person
         places = np.array([to_world(assignment.start, pose) for pose in true.tolist()])
-        nearest = footprint_clearance(places, config.outline, assignment.world)
-        clearance = 0.0 if touched else max(0.0, nearest)
+        distance = footprint_clearance(places, config.outline, assignment.world)
+        clearance = 0.0 if touched else max(0.0, distance)
 
     fault = info.get("fault_reason", "")
     lateness = drive.timing.lateness if drive.timing else None
     return Episode(
         seed=drive.seed,
         world=None if assignment.world is None else assignment.world_key,
-        **end,
+        **ending,
         fault=fault,
         valid=not fault and (lateness is None or lateness.late_share <= late_share),
         started=drive.started,
@@ -232,16 +224,16 @@ def measure_episode(env: RobotEnv, drive: Drive, late_share: float) -> Episode:
         length=steps,
         ticks=steps * env.ticks_per_step,
         late_ticks=lateness.late_ticks if lateness else 0,
-        episode_return=drive.total_reward,
+        episode_return=float(np.cumsum(drive.track[:, REWARD])[-1]),
         path=path_length(odom[:, :2]),
         driven=path_length(poses[:, :2]),
         shortest=shortest,
         left=left,
-        turning=total_turning(odom),
+        turning=float(np.abs(np.diff(np.unwrap(odom[:, 2]))).sum()),
         jerk=mean_jerk(odom, env.ticks_per_step * config.period),
         clearance=clearance,
-        closest_person=0.0 if touched_person else float(nearest_to_people[CLOSEST_PERSON]),
-        time_to_collision=float(nearest_to_people[TIME_TO_COLLISION]),
+        closest_person=0.0 if touched_person else float(nearest[CLOSEST_PERSON]),
+        time_to_collision=float(nearest[TIME_TO_COLLISION]),
         intrusions=float(info.get("intrusions", math.nan)),
         energy=drive.energy,
         odometry_error=float(info["odometry_error"]),
@@ -252,11 +244,6 @@ def measure_episode(env: RobotEnv, drive: Drive, late_share: float) -> Episode:
     )
 
 
-def total_turning(poses: Floats) -> float:
-    """Return the sum of absolute heading changes of poses (N, 3) [rad]."""
-    return float(np.abs(np.diff(np.unwrap(poses[:, 2]))).sum())
-
-
 def mean_jerk(poses: Floats, period: float) -> float:
     """Compute the mean absolute jerk of the speed driven.
 
@@ -265,11 +252,11 @@ def mean_jerk(poses: Floats, period: float) -> float:
     speed of a step is its displacement along the mean heading, over the period.
 
     Args:
-        poses: (N, 3), one for each env step.
-        period: duration of an env step [s].
+        poses: (N, 3), a pose for each env step.
+        period: Duration of an env step [s].
 
     Returns:
-        The jerk [m/s^3]; NaN for episodes of fewer than three steps.
+        The jerk [m/s^3]. NaN for episodes of fewer than three steps.
     """
     if len(poses) < 4:
         return math.nan
@@ -281,25 +268,19 @@ def mean_jerk(poses: Floats, period: float) -> float:
 
 
 def measure_way(
-    assignment: Assignment,
-    config: RobotConfig,
-    pose: Pose,
-    way: Floats | float | None,
-    *,
-    is_known: bool,
+    assignment: Assignment, radius: float, row: Floats, way: Floats | float | None
 ) -> float:
-    """Return the length of a task's way from a pose [m].
+    """Return the length of a task's way from the pose in a row of the track [m].
 
     NaN if there is none, or if the surroundings aren't known, as those of a real robot.
     """
     if isinstance(way, float):
         return way
-    if way is None or (assignment.world is not None and not is_known):
+    if way is None or (assignment.world is not None and math.isnan(row[TRUE][0])):
         return math.nan
-    points = [pose[:2], *((x, y) for x, y in way.tolist())]
-    places = [Region(*point_in_world(assignment.start, point)) for point in points]
+    points = [known_pose(row)[:2], *way.tolist()]
+    places = [Region(*point_in_world(assignment.start, (x, y))) for x, y in points]
     world = assignment.world or World()
-    radius = footprint_radius(config)
     return math.fsum(
         _distance(world, radius, place, goal) for place, goal in itertools.pairwise(places)
     )
@@ -307,7 +288,7 @@ def measure_way(
 
 @lru_cache(maxsize=1024)
 def _distance(world: World, radius: float, place: Region, goal: Region) -> float:
-    """As `remaining_distance`; episodes in one world often have the same start and goal."""
+    """As `remaining_distance`. Episodes in a world often have the same start and goal."""
     return remaining_distance(world, radius, place, goal)
 
 
@@ -315,9 +296,9 @@ def footprint_clearance(places: Floats, outline: Outline, world: World) -> float
     """Compute the least distance of a footprint, at any of several poses, to any obstacle.
 
     Args:
-        places: poses of the base in the frame of the world, (N, 3) [m, m, rad].
-        outline: corners of the footprint in the base frame [m].
-        world: with the obstacles.
+        places: Poses of the base in the frame of the world, (N, 3) [m, m, rad].
+        outline: Corners of the footprint in the base frame [m].
+        world: World with the obstacles.
 
     Returns:
         The distance of the footprint's sides [m]: negative inside a circle, inf without obstacles.
@@ -343,7 +324,7 @@ def odometry_errors(episodes: Iterable[Episode], log: Path) -> list[float]:
     true pose at the reset. Link and emulator both use the machine's monotonic clock.
 
     Raises:
-        ConfigError: the log holds no true poses.
+        ConfigError: The log holds no true poses.
     """
     stamps, poses = read_true_poses(log)
     errors = []
@@ -359,27 +340,19 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
     """Read the times [s] and true poses from an emulator's log, whose last line may be cut.
 
     Raises:
-        ConfigError: it can't be read, or holds no true poses.
+        ConfigError: It can't be read, or holds no true poses.
     """
-    truths = _read_events(log, "pose")
-    try:
-        poses: list[Pose] = [(float(x), float(y), float(theta)) for _, (x, y, theta) in truths]
-    except (ValueError, TypeError) as error:
-        raise _foreign_log(log) from error
-    if not poses:
-        raise ConfigError(f"{log}: holds no true poses; run 'acsar-gym emulate --log FILE'")
-    return [stamp for stamp, _ in truths], poses
-
-
-def _read_events(log: Path, kind: str) -> list[tuple[float, Any]]:
-    """Read the times [s] and values of events from an emulator's log."""
     lines = reading.read_file(log, MAX_LOG_BYTES).splitlines(keepends=True)
+    stamps: list[float] = []
+    poses: list[Pose] = []
     try:
-        events = [json.loads(line) for line in lines if line.endswith(b"\n")]
-        return [(float(event["t"]), event[kind]) for event in events if kind in event]
-    except (ValueError, TypeError, LookupError) as error:
-        raise _foreign_log(log) from error
-
-
-def _foreign_log(log: Path) -> ConfigError:
-    return ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE'")
+        for event in (json.loads(line) for line in lines if line.endswith(b"\n")):
+            if "pose" in event:
+                x, y, theta = map(float, event["pose"])
+                poses.append((x, y, theta))
+                stamps.append(float(event["t"]))
+    except (ValueError, TypeError, LookupError):
+        poses.clear()
+    if not poses:
+        raise ConfigError(f"{log}: isn't a log of 'acsar-gym emulate --log FILE' with true poses")
+    return stamps, poses

@@ -5,26 +5,24 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError
 from acsar_gym.safety.rules import Reason
-from acsar_gym.sensors.suite import BUILT_IN, is_polled
-from acsar_gym.tasks.episode import Assignment, RunningEpisode
+from acsar_gym.tasks.episode import Assignment
 from acsar_gym.tasks.goal import GoalTask
-from acsar_gym.tasks.state import State
-from acsar_gym.tasks.task import is_compiled, says_shortest_path
+from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.evaluation.episode import (
     TRACK_KEYS,
     Drive,
     Episode,
+    Floats,
     Resets,
     known_pose,
     measure_episode,
@@ -32,18 +30,15 @@ from acsar_gym.tools.evaluation.episode import (
 from acsar_gym.tools.policies import FilePolicy, Policy
 from acsar_gym.tools.policies.policy import PolicyContext
 from acsar_gym.vector.env import RobotVectorEnv
-from acsar_gym.worlds import World
 
 MAX_LATE_SHARE = 0.01
 """Default of the largest share of late ticks in a valid episode."""
 MIN_EPISODES = 16
 """Fewer episodes are driven one by one: making a batch takes longer than it saves."""
 MAX_BATCH = 128
-"""Most robots of a batch. A robot whose episode has ended starts the next one."""
-MAX_BATCH_WORLDS = 10_000
-"""Most worlds that a batch takes."""
-SINGLE_OPTIONS = ("faults", "lidar", "on_fault", "record", "render_mode", "view")
-"""Options of an env that a batch doesn't have: their episodes are driven one by one."""
+"""Most robots of a batch. A robot whose episode has ended starts the next episode."""
+ENDINGS = ("start_x", "start_y", "start_theta", "goal_x", "goal_y", "work", "loops")
+"""What is read of a robot of a batch when its episode ends. A loop is a period of its board."""
 
 
 def run_episodes(
@@ -52,14 +47,13 @@ def run_episodes(
     count: int,
     seed: int,
     *,
-    in_order: bool = False,
     late_share: float = MAX_LATE_SHARE,
     **options: Any,
 ) -> Generator[Episode, None, None]:
     """Run episodes with the seeds `seed`, `seed + 1`, ..., and yield the result of each in order.
 
     Many episodes of planar robots are driven as a batch, with the same results, if the policy has
-    no memory; see `can_batch`. A fault, or too many late ticks, make an episode invalid. After a
+    no memory, see `make_batch`. A fault, or too many late ticks, make an episode invalid. After a
     fault, the next reset connects again.
 
     Args:
@@ -68,7 +62,6 @@ def run_episodes(
             and `bind` gets the `PolicyContext` of the env, unless `make_env` gave it that.
         count: Number of episodes.
         seed: Seed of the first reset.
-        in_order: Use the env's worlds one after the other, instead of random ones.
         late_share: Largest share of late ticks in a valid episode, 0 to 1.
         **options: Options of every reset.
 
@@ -76,33 +69,12 @@ def run_episodes(
         The result of each episode.
 
     Raises:
-        ConfigError: There are fewer worlds than episodes with `in_order`, or `late_share` or
-            `env` can't be used.
+        ConfigError: `late_share` or `env` can't be used.
         LinkError: The robot can't be reached.
         EmergencyStopError: Its emergency stop was used.
     """
-    resets = plan_resets(env, range(seed, seed + count), in_order=in_order, options=options)
+    resets = [(number, options) for number in range(seed, seed + count)]
     return run_resets(env, policy, resets, late_share)
-
-
-def plan_resets(
-    env: gymnasium.Env[Any, Any],
-    seeds: range,
-    *,
-    in_order: bool = False,
-    options: Mapping[str, Any] = {},
-) -> list[tuple[int, dict[str, Any]]]:
-    """Return seed and options of each episode's reset; arguments as for `run_episodes`."""
-    pool: Any = getattr(env.unwrapped, "pool", None)
-    worlds = 0 if pool is None else len(pool)
-    if in_order and worlds < len(seeds):
-        raise ConfigError(
-            f"{len(seeds)} episodes in order need as many worlds, but there are {worlds}"
-        )
-    return [
-        (seed, {**options, **({"world": pool.key(place)} if in_order else {})})
-        for place, seed in enumerate(seeds)
-    ]
 
 
 def check_late_share(late_share: float) -> None:
@@ -125,10 +97,10 @@ def run_resets(
     if not isinstance(policy, FilePolicy) and (bind := getattr(policy, "bind", None)) is not None:
         bind(PolicyContext.of(inner))
 
-    if can_batch(env, policy, resets):
-        drives = _drive_batch(env, inner, policy, resets)
-    else:
-        drives = (_drive_env(env, inner, policy, *reset) for reset in resets)
+    batch = make_batch(env, policy, resets)
+    drives: Iterable[Drive] = (_drive_env(env, inner, policy, *reset) for reset in resets)
+    if batch is not None:
+        drives = BatchDriver(inner, batch, policy, resets).drives()
     for drive in drives:
         yield measure_episode(inner, drive, late_share)
 
@@ -146,25 +118,26 @@ def _drive_env(
     observation, info = env.reset(seed=seed, options=dict(options))
     if (reset := getattr(policy, "reset", None)) is not None:
         reset()
-    rows = [[info.get(key, math.nan) for key in TRACK_KEYS]]
-    way = inner.episode.shortest_path(known_pose(rows[0]))  # measured later: a robot doesn't wait
 
-    total_reward = 0.0
+    def make_row(reward: float) -> list[float]:
+        return [*(info.get(key, math.nan) for key in TRACK_KEYS), reward]
+
+    rows = [make_row(0.0)]
+    way = inner.episode.shortest_path(known_pose(rows[0]))  # measured later: a robot doesn't wait
     is_done = False
     while not is_done:
         observation, reward, terminated, truncated, info = env.step(policy(observation))
-        rows.append([info.get(key, math.nan) for key in TRACK_KEYS])
-        total_reward += float(reward)
+        rows.append(make_row(float(reward)))
         if robot.safety.reason is Reason.EMERGENCY_STOP:
             raise EmergencyStopError
         is_done = terminated or truncated
     return Drive(
         seed=seed,
-        episode=inner.episode,
+        assignment=inner.episode.assignment,
         track=np.array(rows, np.float64),
         info=info,
-        way=way,
-        total_reward=total_reward,
+        first_way=way,
+        last_way=inner.episode.shortest_path(known_pose(rows[-1])),
         started=robot.wire.start,
         ended=robot.wire.stamp,
         energy=robot.link.work,
@@ -172,182 +145,143 @@ def _drive_env(
     )
 
 
-def can_batch(env: gymnasium.Env[Any, Any], policy: Policy, resets: Resets) -> bool:
-    """Whether these episodes can be driven as a batch, and are worth it."""
-    spec = env.spec
-    inner = env.unwrapped
-    if spec is None or not isinstance(inner, RobotEnv) or len(resets) < MIN_EPISODES:
-        return False
-
-    task = inner.task
-    is_planar = spec.kwargs.get("link") == "planar" and spec.vector_entry_point is not None
-    has_no_memory = getattr(policy, "act_many", None) is not None
-    has_shared_options = all(spec.kwargs.get(name) is None for name in SINGLE_OPTIONS)
-    knows_ways = not says_shortest_path(task) or type(task).shortest_path is GoalTask.shortest_path
-    own_sensors = [sensor for sensor in inner.sensors if sensor.name not in BUILT_IN]
-    return (
-        is_planar
-        and has_no_memory
-        and has_shared_options
-        and knows_ways
-        and is_compiled(task)
-        and not any(is_polled(sensor) or sensor.needs for sensor in own_sensors)
-        and not spec.additional_wrappers
-        and (inner.pool is None or inner.pool.numbers is not None)  # of several sets: names
-        and all(options.keys() <= {"world"} for _, options in resets)
-        and not any(isinstance(options.get("world"), World) for _, options in resets)
-        and len(_name_worlds(inner, resets) or inner.pool or ()) <= MAX_BATCH_WORLDS
-    )
-
-
-def _name_worlds(env: RobotEnv, resets: Resets) -> list[int] | None:
-    """Return the numbers of the worlds that are named; None if any of the env's may be drawn."""
-    if env.pool is None or not all(options for _, options in resets):
-        return None
-    return sorted({int(options["world"]) for _, options in resets})
-
-
-def _drive_batch(
-    env: gymnasium.Env[Any, Any], inner: RobotEnv, policy: Any, resets: Resets
-) -> Iterator[Drive]:
-    """Drive episodes as a batch, and yield them in order."""
+def make_batch(
+    env: gymnasium.Env[Any, Any], policy: Policy, resets: Resets
+) -> RobotVectorEnv | None:
+    """Make the batch that drives these episodes. None if it can't, or if it isn't worth it."""
+    inner: Any = env.unwrapped
     spec = copy.copy(env.spec)
-    assert spec is not None  # noqa: S101 - `can_batch` has seen it
+    has_memory = getattr(policy, "act_many", None) is None
+    if spec is None or has_memory or len(resets) < MIN_EPISODES or spec.additional_wrappers:
+        return None
+    is_planar = spec.kwargs.get("link") == "planar" and spec.vector_entry_point is not None
+
+    # A path of the user's own may depend on the memory, which a batch doesn't give out.
+    task = inner.task
+    knows_ways = not says_shortest_path(task) or type(task).shortest_path is GoalTask.shortest_path
+
+    # A batch has worlds by number. Those of several sets have names.
+    has_numbers = inner.pool is None or inner.pool.numbers is not None
+    fit = all(
+        options.keys() <= {"world"} and isinstance(options.get("world", 0), int)
+        for _, options in resets
+    )
+    if not (is_planar and knows_ways and has_numbers and fit):
+        return None
+
     spec.kwargs = {**spec.kwargs, "autoreset_mode": AutoresetMode.NEXT_STEP}
-    numbers = _name_worlds(inner, resets)
-    if numbers is not None and inner.pool is not None:
-        worlds = [inner.pool[number] for number in numbers]
-        spec.kwargs |= {"worlds": worlds, "difficulty": None}
     robots = min(len(resets), MAX_BATCH)
-    batch = gymnasium.make_vec(spec, robots, vectorization_mode="vector_entry_point").unwrapped
+    try:
+        batch = gymnasium.make_vec(spec, robots, vectorization_mode="vector_entry_point").unwrapped
+    except ConfigError:  # an option, task or sensor that a batch doesn't have
+        return None
     assert isinstance(batch, RobotVectorEnv)  # noqa: S101 - no other class is registered
-    with contextlib.closing(batch):
-        yield from BatchDriver(inner, batch, policy, resets, numbers).drives()
+    return batch
 
 
 class BatchDriver:
-    """The robots of a batch, which drive episodes; a free robot starts the next one.
+    """The robots of a batch, which drive episodes. A free robot starts the next episode.
 
     Args:
         env: Env that would drive the episodes one by one.
-        batch: Batch of robots.
+        batch: Batch of robots, see `make_batch`.
         policy: A policy without memory.
         resets: Seeds and options of the episodes.
-        numbers: Numbers of the batch's worlds in `env`; None if they are the same.
     """
 
-    def __init__(
-        self,
-        env: RobotEnv,
-        batch: RobotVectorEnv,
-        policy: Any,
-        resets: Resets,
-        numbers: list[int] | None,
-    ) -> None:
+    def __init__(self, env: RobotEnv, batch: RobotVectorEnv, policy: Any, resets: Resets) -> None:
         batch.batch.measure_work()
         self._env = env
         self._batch = batch
         self._policy = policy
         self._resets = resets
-        self._numbers = numbers
-        self._started = 0
-        """Number of episodes that have started."""
-        self._places = np.full(batch.num_envs, -1)
-        """Place of each robot's episode among the resets; -1 for none."""
-        self._tracks: list[list[NDArray[np.float64]]] = [[] for _ in range(batch.num_envs)]
-        self._rewards = np.zeros(batch.num_envs)
-        self._first_ticks = np.zeros(batch.num_envs, np.int64)
-        """Ticks of each robot's reset."""
+        self._waiting = iter(range(len(resets)))
+        """Places of the episodes that haven't started, among the resets."""
+        self._places: dict[int, int] = {}
+        """Place of the episode that a robot drives."""
+        self._tracks: list[list[Floats]] = [[] for _ in range(batch.num_envs)]
 
     def drives(self) -> Iterator[Drive]:
         """Drive, and yield each episode after all before it have ended."""
-        waiting: dict[int, Drive] = {}
-        next_place = 0
-        observations = self._start(np.ones(self._batch.num_envs, np.bool_))
-        while next_place < len(self._resets):
-            is_driving = self._places >= 0
-            actions = np.zeros((self._batch.num_envs, 2), np.float32)
-            actions[is_driving] = self._policy.act_many(observations[is_driving])
-            observations, rewards, terminated, truncated, info = self._batch.step(actions)
-            self._rewards += rewards
-            self._note(info, is_driving)
+        finished: dict[int, Drive] = {}
+        actions = np.zeros((self._batch.num_envs, 2), np.float32)
+        with contextlib.closing(self._batch):
+            observations = self._start()
+            for place in range(len(self._resets)):
+                while place not in finished:
+                    robots = sorted(self._places)
+                    actions[robots] = self._policy.act_many(observations[robots])
+                    observations, rewards, terminated, truncated, info = self._batch.step(actions)
+                    self._note(robots, info, rewards)
 
-            has_ended = is_driving & (terminated | truncated)
-            for robot in np.flatnonzero(has_ended).tolist():
-                waiting[int(self._places[robot])] = self._finish(robot, info)
-            self._places[has_ended] = -1
-            while next_place in waiting:
-                yield waiting.pop(next_place)
-                next_place += 1
-            if has_ended.any() and self._started < len(self._resets):
-                observations = self._start(has_ended)
+                    ended = [robot for robot in robots if terminated[robot] or truncated[robot]]
+                    for robot in ended:
+                        finished[self._places.pop(robot)] = self._finish(robot, info)
+                    if ended:
+                        observations = self._start(observations)
+                yield finished.pop(place)
 
-    def _start(self, is_free: NDArray[np.bool_]) -> NDArray[Any]:
-        """Start the next episodes with free robots; returns the observations of all robots."""
-        robots = np.flatnonzero(is_free)[: len(self._resets) - self._started].tolist()
-        mask = np.zeros(self._batch.num_envs, np.bool_)
-        mask[robots] = True
-        seeds: list[int | None] = [None] * self._batch.num_envs
-        worlds = np.full(self._batch.num_envs, math.nan)
-        for robot in robots:
-            seed, options = self._resets[self._started]
+    def _start(self, observations: Any = None) -> Any:
+        """Start the next episodes with free robots, and return the observations of all robots."""
+        robots = self._batch.num_envs
+        free = [robot for robot in range(robots) if robot not in self._places]
+        started = dict(zip(free, self._waiting, strict=False))
+        if not started:
+            return observations
+
+        seeds: list[int | None] = [None] * robots
+        worlds = np.full(robots, math.nan)
+        for robot, place in started.items():
+            seed, options = self._resets[place]
             seeds[robot] = seed
-            if "world" in options:
-                number = int(options["world"])
-                worlds[robot] = self._numbers.index(number) if self._numbers else number
-            self._places[robot] = self._started
+            worlds[robot] = options.get("world", math.nan)
             self._tracks[robot] = []
-            self._started += 1
+        self._places |= started
 
-        options = {"reset_mask": mask}
+        mask = np.isin(np.arange(robots), [*started])
+        wishes = {"reset_mask": mask}
         if not np.isnan(worlds).all():
-            options["world"] = worlds
-        observations, info = self._batch.reset(seed=seeds, options=options)
-        self._rewards[mask] = 0.0
-        self._note(info, mask)
-        (loops,) = self._batch.batch.read("loops")
-        config = self._env.robot.config
-        self._first_ticks[mask] = loops[mask] / round(config.firmware.loop_rate * config.period)
+            wishes["world"] = worlds
+        observations, info = self._batch.reset(seed=seeds, options=wishes)
+        self._note(started, info, np.zeros(robots))
         return observations
 
-    def _note(self, info: Mapping[str, Any], mask: NDArray[np.bool_]) -> None:
+    def _note(self, robots: Iterable[int], info: Mapping[str, Any], rewards: Floats) -> None:
         """Add a row to the tracks of these robots."""
         unknown = np.full(self._batch.num_envs, math.nan)
-        rows = np.column_stack([info.get(key, unknown) for key in TRACK_KEYS])
-        for robot in np.flatnonzero(mask):
+        rows = np.column_stack([*(info.get(key, unknown) for key in TRACK_KEYS), rewards])
+        for robot in robots:
             self._tracks[robot].append(rows[robot])
 
     def _finish(self, robot: int, batch_info: Mapping[str, Any]) -> Drive:
         """Return the episode of a robot that has ended it."""
         info = {key: row[robot] for key, row in batch_info.items() if not key.startswith("_")}
-        names = ("start_x", "start_y", "start_theta", "goal_x", "goal_y", "work")
-        numbers = self._batch.batch.read(*names)[:, robot].tolist()
-        x, y, theta, goal_x, goal_y, work = numbers
+        columns = self._batch.batch.read(*ENDINGS)[:, robot].tolist()
+        x, y, theta, goal_x, goal_y, work, loops = columns
+
+        # The assignment as the single env would have it.
         world = None
-        key = -1
+        number = -1
         if self._env.pool is not None:
-            key = int(info["world"])
-            key = self._numbers[key] if self._numbers else key
-            world = self._env.pool[key]
-            info["world"] = key
-        assignment = Assignment((goal_x, goal_y), world, world_key=key, start=(x, y, theta))
-        episode = RunningEpisode(self._env.task, assignment)
-        episode.state = State(goal=assignment.goal)
+            number = int(info["world"])
+            world = self._env.pool[number]
+        assignment = Assignment((goal_x, goal_y), world, world_key=number, start=(x, y, theta))
+        way = np.array([assignment.goal]) if says_shortest_path(self._env.task) else None
 
         # The clock of a link adds up its periods, which rounds.
+        config = self._env.robot.config
         track = np.array(self._tracks[robot])
-        first_tick = int(self._first_ticks[robot])
         ticks = (len(track) - 1) * self._env.ticks_per_step
-        period = self._env.robot.config.period
-        clock = np.cumsum(np.full(first_tick + ticks, period))
+        last_tick = round(loops / round(config.firmware.loop_rate * config.period))
+        clock = np.cumsum(np.full(last_tick, config.period))
         return Drive(
-            seed=self._resets[int(self._places[robot])][0],
-            episode=episode,
+            seed=self._resets[self._places[robot]][0],
+            assignment=assignment,
             track=track,
             info=info,
-            way=episode.shortest_path(known_pose(track[0])),
-            total_reward=float(self._rewards[robot]),
-            started=float(clock[first_tick]) - period,
+            first_way=way,
+            last_way=way,
+            started=float(clock[-ticks]) - config.period,
             ended=float(clock[-1]),
             energy=work,
         )

@@ -6,21 +6,19 @@ This is the `header` in the JSON of `evaluate`, `run` and `demo`:
 |---|---|
 | `versions` | of acsar_gym, gymnasium, numpy, python, and, if they are installed, of onnxruntime, |
 | | torch, pybullet and mujoco |
-| `policy` | `file`, `sha256` of what was read from it, the `function` of a Python file, the `env` |
-| | that it was made for, the `differences` to its training, and whether it is `privileged`: |
-| | knows the simulator's truth |
+| `policy` | `file`, `sha256` of its content, the `function` of a Python file, the `env` that it |
+| | was made for, the `differences` to its training, and whether it is `privileged`: knows the |
+| | simulator's truth |
 | `env` | `id`, `kwargs` as in its spec, `max_episode_steps` |
 | `task` | `sha256` of the source of its class and of the user's modules that it imports |
 | `robot` | `sha256` of its whole config |
 | `link` | name of the link |
-| `worlds` | `kind` ("none" on an open floor), `split` ("train", "test" or null), numbers of the |
-| | `first` and `last` world, `difficulty`, footprint `radius` [m], `sha256` of their contents, |
-| | or, if this package generates them, of all of these, its version and sources and NumPy's |
-| | version. A list of these for several sets |
+| `worlds` | `sets`, such as "clutter 0 to 199 (test split)", or "none" on an open floor, their |
+| | `difficulty`, footprint `radius` [m], and `sha256` of their contents, or, if this package |
+| | generates them, of all of these, its version and sources and NumPy's version |
 | `seeds` | of the `first` and `last` episode |
-| `options` | of the resets, and `in_order`, `late_share` |
-| `workers` | how many episodes ran at a time; null for one per CPU of the cluster |
-| `address` | of the Ray cluster that they ran on; null for this machine |
+| `options` | of the resets, and `late_share` |
+| `workers` | how many episodes ran at a time |
 
 The JSON also has the means of `metrics.Summary` with their `intervals`, and in `per_episode` the
 fields of every `Episode`: seed, world, episode_return, length, and so on.
@@ -50,7 +48,6 @@ from acsar_gym.worlds.cache import fingerprint
 from acsar_gym.worlds.movers import make_motions
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.registry import BUILT_IN_KINDS
-from acsar_gym.worlds.sets import WorldSet
 
 DRIVING_LIBRARIES = ("onnxruntime", "torch", "pybullet", "pybullet-arm64", "mujoco")
 """Libraries that the results of episodes depend on, if they are installed."""
@@ -67,12 +64,8 @@ def make_header(
     seeds: range,
     options: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Collect what is needed to repeat an evaluation, ready for JSON; see above for its keys.
-
-    `options` are those of the resets and of the evaluation.
-    """
+    """Collect what is needed to repeat an evaluation, ready for JSON, see above for its keys."""
     inner: Any = env.unwrapped
-
     differences = [*policy.differences]
     return {
         "versions": library_versions(*DRIVING_LIBRARIES),
@@ -85,7 +78,6 @@ def make_header(
         "seeds": {"first": seeds[0], "last": seeds[-1]},
         "options": to_plain(options),
         "workers": 1,
-        "address": None,
     }
 
 
@@ -146,35 +138,28 @@ def hash_numbers(parts: Sequence[Any]) -> bytes:
 
 
 def _describe_env(env: gymnasium.Env[Any, Any]) -> dict[str, Any]:
-    """Describe the env by its spec; values that JSON can't hold by their repr()."""
+    """Describe the env by its spec, values that JSON can't hold by their repr()."""
     spec = env.spec
-    if spec is None:
-        return {"id": None, "kwargs": {}, "max_episode_steps": None}
-    shown = {name: value for name, value in spec.kwargs.items() if name not in HIDDEN_ARGUMENTS}
-    kwargs = replace_nonfinite(json.loads(json.dumps(shown, default=repr)))
-    return {"id": spec.id, "kwargs": kwargs, "max_episode_steps": spec.max_episode_steps}
+    kwargs = {} if spec is None else spec.kwargs
+    shown = {name: value for name, value in kwargs.items() if name not in HIDDEN_ARGUMENTS}
+    return {
+        "id": spec and spec.id,
+        "kwargs": replace_nonfinite(json.loads(json.dumps(shown, default=repr))),
+        "max_episode_steps": spec and spec.max_episode_steps,
+    }
 
 
-def _describe_worlds(pool: Pool | None) -> dict[str, Any] | list[dict[str, Any]]:
-    """Describe the worlds, several sets in a list; a hash changes if any world of a set does."""
+def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
+    """Describe the worlds. The hash changes if any of them does."""
     if pool is None:
-        keys = ("split", "first", "last", "difficulty", "radius", "sha256")
-        return {"kind": "none", **dict.fromkeys(keys)}
-    descriptions = [_describe_set(worlds, pool.radius) for worlds in pool.sets]
-    return descriptions if len(descriptions) > 1 else descriptions[0]
-
-
-def _describe_set(worlds: WorldSet, radius: float) -> dict[str, Any]:
+        return {"sets": "none", "difficulty": None, "radius": None, "sha256": None}
     about = {
-        "kind": worlds.kind,
-        "split": worlds.split or None,
-        "first": worlds.numbers[0],
-        "last": worlds.numbers[-1],
-        "difficulty": worlds.difficulty,
-        "radius": radius,
+        "sets": str(pool),
+        "difficulty": [worlds.difficulty for worlds in pool.sets],
+        "radius": pool.radius,
     }
     contents = [fingerprint()]
-    if worlds.generator not in BUILT_IN_KINDS:
-        contents = [hash_world(world).hex() for world in Pool([worlds], radius)]
-    content = json.dumps([about, *contents], sort_keys=True)
-    return about | {"sha256": hashlib.sha256(content.encode()).hexdigest()}
+    if not all(worlds.generator in BUILT_IN_KINDS for worlds in pool.sets):
+        contents += [hash_world(world).hex() for world in pool]
+    text = json.dumps([about, contents])
+    return about | {"sha256": hashlib.sha256(text.encode()).hexdigest()}

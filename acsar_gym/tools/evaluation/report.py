@@ -16,14 +16,21 @@ from rich.segment import Segment
 from rich.table import Table
 
 from acsar_gym import reading
-from acsar_gym.errors import ConfigError, escape_unprintable, explain_error
+from acsar_gym.errors import ConfigError, escape_unprintable
 from acsar_gym.tools import page
 from acsar_gym.tools.evaluation.episode import Episode
-from acsar_gym.tools.evaluation.metrics import EPISODE_ENDS, FIGURES, TOLD_PREFIX, Summary
+from acsar_gym.tools.evaluation.metrics import EPISODE_ENDS, Summary, find_figure
 
 Item = TypeVar("Item")
+Cells = Mapping[str, str]
+Row = Mapping[str, Any]
+"""Means by the names of figures, with their "intervals", as `Summary.as_row`. None is unknown."""
 ODOMETRY_ALARM = 0.15
-"""Mean odometry error above which a table warns [m]; the default tolerance of a goal."""
+"""Mean odometry error above which a table warns [m]: the default tolerance of a goal."""
+INTERVAL_NOTE = (
+    "Intervals have 95 %: Wilson's for rates, the bootstrap over training seeds and scenes for "
+    "means (Agarwal et al. 2021). Time, path and energy are means over successful episodes."
+)
 PIPED_WIDTH = 160
 """Columns of output that isn't a terminal: enough for all tables."""
 PEOPLE_NOTE = (
@@ -80,14 +87,6 @@ def check_writable(path: Path | None) -> None:
         raise ConfigError(f"{path}: can't be written: must be a file in a folder of yours")
 
 
-def make_folder(path: Path) -> None:
-    """Create a folder and its parents, unless it exists; ConfigError if that fails."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: can't be made a folder: {explain_error(error)}") from error
-
-
 def write_json(path: Path | None, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
     """Write a JSON file, on one line if `indent` is None; do nothing if `path` is None."""
     if path is None:
@@ -97,143 +96,129 @@ def write_json(path: Path | None, data: Mapping[str, Any], *, indent: int | None
     )
 
 
-def make_table(title: str, rows: Sequence[Mapping[str, str]], texts: Iterable[str] = ()) -> Table:
-    """Format rows of cells by column; columns without any value are left out.
+def fill_cells(rows: Sequence[Cells]) -> page.Table:
+    """Arrange rows of cells by column. Columns without any value are left out."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    shown = [name for name in names if any(row.get(name) for row in rows)]
+    return page.Table(shown, [[row.get(name) or "-" for name in shown] for row in rows])
+
+
+def make_table(title: str, rows: Sequence[Cells], texts: Iterable[str] = ()) -> Table:
+    """Format rows of cells for the terminal, as `fill_cells`.
 
     Args:
         title: Title of the table.
         rows: Cells by name of the column.
-        texts: Names of the columns that are aligned left; by default the first one.
+        texts: Names of the columns that are aligned left, by default the first column.
     """
+    cells = fill_cells(rows)
+    text_columns = {*texts} or {*cells.columns[:1]}
     table = Table(title=escape_text(title), title_justify="left")
-    names = dict.fromkeys(name for row in rows for name in row)
-    shown = [name for name in names if any(row.get(name) for row in rows)]
-    text_columns = {*texts} or {*shown[:1]}
-    for name in shown:
-        table.add_column(escape_text(name), justify="left" if name in text_columns else "right")
-    for row in rows:
-        table.add_row(*(escape_text(row.get(name) or "-") for name in shown))
+    for name in cells.columns:
+        is_text = name in text_columns
+        table.add_column(escape_text(name), justify="left" if is_text else "right", overflow="fold")
+    for row in cells.rows:
+        table.add_row(*map(escape_text, row))
     return table
 
 
-def format_figure(name: str, value: float) -> str:
-    """Format a mean with its unit, for a table; empty for NaN and for a rate of 0."""
-    figure = FIGURES[name]
-    is_rate = figure.unit == "%"
-    text = figure.format(value)
-    if not text or (is_rate and value == 0.0):
-        return ""
-    return f"{text}%" if is_rate else f"{text} {figure.unit}".strip()
+def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
+    """Format names and values as a table of two columns without headings."""
+    cells = [{"name": name, "value": value} for name, value in rows]
+    table = make_table(title, cells, texts=("name", "value"))
+    table.show_header = False
+    return table
 
 
-def figure_cells(summary: Summary, table: str) -> dict[str, str]:
-    """Return the cells of the figures of a table."""
-    return {
-        figure.title: format_figure(name, getattr(summary, name))
-        for name, figure in FIGURES.items()
-        if figure.table == table
-    }
+def format_figure(row: Row, name: str) -> str:
+    """Format a mean with its interval, such as "0.885 (0.861 to 0.907)". Empty for none."""
+    figure = find_figure(name)
+    numbers = (row.get(name), *row["intervals"].get(name, ()))
+    texts = [f"{n * figure.factor:.{figure.digits}f}" for n in numbers if n is not None]
+    return "{} ({} to {})".format(*texts) if len(texts) == 3 else "".join(texts)
 
 
-def summary_cells(summary: Summary) -> dict[str, str]:
-    """Return the cells of a summary's row in the main table."""
-    hits = round(summary.success_rate * summary.episodes)
-    cells = figure_cells(summary, "main")
-    cells["success"] = f"{hits}/{summary.episodes} ({summary.success_rate:.1%})"
-    if "barn_score" in summary.told:
-        cells["BARN score"] = f"{summary.told['barn_score']:.3f}"
+def figure_cells(rows: Mapping[str, Row], corner: str = "figure") -> list[dict[str, str]]:
+    """Return cells for a table with a line for each figure that is known.
 
+    Args:
+        rows: Means and intervals for each column.
+        corner: Heading of the figures' names.
+    """
+    lines = []
+    for name in dict.fromkeys(name for row in rows.values() for name in row["intervals"]):
+        values = {column: format_figure(row, name) for column, row in rows.items()}
+        if any(values.values()):
+            lines.append({corner: find_figure(name).heading, **values})
+    return lines
+
+
+def count_cells(summary: Summary) -> dict[str, str]:
+    """Return what is counted over the episodes, as far as it is known."""
+    successes = round(summary.success_rate * summary.episodes)
     lateness = f"{summary.late_ticks} of {summary.ticks}"
     if not math.isnan(summary.worst_lateness):
         lateness += f", {summary.worst_lateness * 1e3:.2f} ms"
-    cells["late ticks"] = lateness
+    cells = {
+        "successes": f"{successes}/{summary.episodes} ({summary.success_rate:.1%})",
+        "late ticks": lateness,
+    }
     if summary.round_trips:
         median = f"{summary.round_trip * 1e3:.0f} ms"
         longest = f"{summary.round_trip_p95 * 1e3:.0f} ms"
         cells["round trip"] = f"{median}, 95 % {longest}, of {summary.round_trips}"
-    cells["invalid"] = f"{summary.invalid}" if summary.invalid else ""
+    if summary.invalid:
+        cells["invalid"] = f"{summary.invalid}"
     return cells
 
 
 def summary_table(
     title: str, rows: Sequence[tuple[str, Summary]], notes: Sequence[str] = ()
 ) -> Table:
-    """Format the summary of the runs on each link as a table, with lines below it."""
-    links = [{"behind the wire": link, **summary_cells(summary)} for link, summary in rows]
-    table = make_table(title, links)
+    """Format the figures of the runs on each link as a table, with lines below it."""
+    corner = "behind the wire"
+    counts = {link: count_cells(summary) for link, summary in rows}
+    lines = [
+        {corner: name, **{link: cells.get(name, "") for link, cells in counts.items()}}
+        for name in dict.fromkeys(name for cells in counts.values() for name in cells)
+    ]
+    figures = figure_cells({link: summary.as_row() for link, summary in rows}, corner)
+    table = make_table(title, [*lines, *figures])
 
-    errors = [s.odometry_error for _, s in rows if not math.isnan(s.odometry_error)]
-    worst = max(errors, default=0.0)
     captions = [escape_text(note) for note in notes]
-    if worst > ODOMETRY_ALARM:
+    errors = [s.odometry_error for _, s in rows if s.odometry_error > ODOMETRY_ALARM]
+    if errors:
         captions.append(
-            f"Odometry is off by {worst:.2f} m, so success by odometry means little: "
+            f"Odometry is off by {max(errors):.2f} m, so success by odometry means little: "
             "calibrate wheel_radius and wheel_separation_multiplier."
         )
     if any(summary.invalid for _, summary in rows):
         captions.append(
-            "Invalid: ended by a fault, or with too many late ticks; --json names the episodes."
+            "Invalid: ended by a fault, or with too many late ticks. --json names the episodes."
         )
     table.caption = "\n".join(captions) or None
     return table
 
 
-def people_table(rows: Sequence[tuple[str, Summary]]) -> Table:
-    """Format what the runs on each link have about those who move as a table."""
-    links = [{"behind the wire": link, **figure_cells(summary, "people")} for link, summary in rows]
-    return make_table("among people", links)
-
-
 def write_evaluation_page(
     path: Path, title: str, summary: Summary, episodes: Sequence[Episode]
 ) -> None:
-    """Write an evaluation as an HTML page; see `page.write_page`."""
+    """Write an evaluation as an HTML page, see `page.write_page`."""
     page.check_report_extra()
     from plotly import graph_objects  # noqa: PLC0415 - optional
 
-    rows = []
-    for name, interval in summary.intervals.items():
-        figure = FIGURES.get(name)
-        if figure is not None:
-            values = [figure.format(value) for value in (getattr(summary, name), *interval)]
-            rows.append([figure.heading, *values])
-        else:
-            short = name.removeprefix(TOLD_PREFIX)
-            rows.append([short, *(f"{value:.4g}" for value in (summary.told[short], *interval))])
-    rows = [row for row in rows if row[1] not in ("", "nan")]
-    ends = graph_objects.Figure(
-        layout={"xaxis_title": "seed", "yaxis_title": "duration [s]", "template": "plotly_white"}
-    )
+    axes = {"xaxis_title": "seed", "yaxis_title": "duration [s]", "template": "plotly_white"}
+    plot = graph_objects.Figure(layout=axes)
     for end in EPISODE_ENDS.values():
         chosen = [episode for episode in episodes if end.of(episode)]
-        ends.add_scatter(
-            x=[episode.seed for episode in chosen],
-            y=[episode.time for episode in chosen],
-            mode="markers",
-            name=end.title,
-        )
-    note = "Wilson's intervals of rates, bootstrapped intervals of means."
-    is_among_people = not math.isnan(summary.closest_person)
-    page.write_page(
-        path,
-        title,
-        [
-            page.Section(
-                "Means and their 95 % intervals",
-                f"{note}\n{PEOPLE_NOTE}" if is_among_people else note,
-                page.Table(("figure", "mean", "low", "high"), rows),
-            ),
-            page.Section("Episodes", figures=[ends]),
-        ],
-    )
+        seeds = [episode.seed for episode in chosen]
+        times = [episode.time for episode in chosen]
+        plot.add_scatter(x=seeds, y=times, mode="markers", name=end.title)
 
-
-def fact_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
-    """Format names and values as a table of two columns."""
-    table = Table(title=escape_text(title), title_justify="left", show_header=False)
-    table.add_column()
-    table.add_column(overflow="fold")
-    for name, value in rows:
-        printable = "".join(c if c.isprintable() else "?" for c in value)
-        table.add_row(escape_text(name), escape(printable))
-    return table
+    note = "" if math.isnan(summary.closest_person) else f"\n{PEOPLE_NOTE}"
+    table = fill_cells(figure_cells({"mean and 95 % interval": summary.as_row()}))
+    sections = [
+        page.Section("All figures", f"{INTERVAL_NOTE}{note}", table),
+        page.Section("Episodes", figures=[plot]),
+    ]
+    page.write_page(path, title, sections)

@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import gymnasium
@@ -23,12 +23,12 @@ from acsar_gym.errors import (
     EmergencyStopError,
     LinkError,
     PolicyError,
+    check_extra,
     escape_unprintable,
     format_error,
-    require_extra,
     show_value,
 )
-from acsar_gym.links import Link, open_link
+from acsar_gym.links import Link
 from acsar_gym.links.factory import is_device
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import baselines
@@ -54,10 +54,8 @@ MAX_EPISODES = 10**6
 """Most episodes of one evaluation: all results are kept in memory."""
 SEED_LIMIT = 2**63
 """The first seed must be below this."""
-MAX_PART_EPISODES = 10
-"""Most episodes of a job that are driven one by one."""
-MAX_BATCHED_EPISODES = 250
-"""Most episodes of a job that are driven as a batch."""
+MAX_PART_EPISODES = 250
+"""Most episodes of a job, so that an interrupt loses little."""
 PARTS_PER_WORKER = 4
 """Jobs of each worker, at least, so that workers finish at about the same time."""
 
@@ -72,7 +70,7 @@ class EvaluationRun:
     """Description of the worlds, such as "clutter 0 to 199 (test split)" or "none"."""
     results: list[Episode]
     ended: LinkError | KeyboardInterrupt | None = None
-    """What ended it before its last episode; None for an evaluation that is complete."""
+    """What ended it before its last episode. None for an evaluation that is complete."""
 
     @property
     def faults(self) -> list[str]:
@@ -114,9 +112,9 @@ class EvaluationRun:
         """Return header, means and every episode, for JSON."""
         return {
             "header": self.header,
-            **self.summary.as_dict(),
+            **metrics.replace_nonfinite(self.summary),
             "ended_early": self.ended_early,
-            "per_episode": metrics.describe_episodes(self.results),
+            "per_episode": metrics.replace_nonfinite(self.results),
         }
 
 
@@ -124,15 +122,15 @@ def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
     """Load a policy: a file, a packaged one, a baseline, or Python code such as "mine.py:act".
 
     Args:
-        policy: its path or name; files come first, then packaged policies, then baselines. Or a
-            function or class of a module, as in "mine.module:Planner", or an object; see
+        policy: Its path or name. Files come first, then packaged policies, then baselines. Or a
+            function or class of a module, as in "mine.module:Planner", or an object, see
             `CallablePolicy`.
-        trust: whether it may be a stable-baselines3 zip, which can run code when it is loaded.
-        env: id or short name of the env that it is for; by default the one that the file names.
+        trust: Whether it may be a stable-baselines3 zip, which can run code when it is loaded.
+        env: Id or short name of the env that it is for, by default that of the file.
 
     Raises:
-        PolicyError: there is no such policy, or it is a zip without `trust`.
-        ConfigError: there is no such `env`.
+        PolicyError: There is no such policy, or it is a zip without `trust`.
+        ConfigError: There is no such `env`.
     """
     env_id = find_id(env) if env else ""
     if isinstance(policy, FilePolicy):
@@ -160,17 +158,17 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
     """Make the env that a policy was trained for, and check that it gives the same observation.
 
     Args:
-        policy: the policy. Only the user, not the file, may name an env of another package.
-        link: name of the link, or an open link.
-        robot: preset, file or config of the robot.
-        options: other arguments of the env; None means the env's default. Worlds such as
-            "clutter", and those of an env that trains in a training split, become their test split;
+        policy: The policy. Only the user, not the file, may name an env of another package.
+        link: Name of the link, or an open link.
+        robot: Preset, file or config of the robot.
+        options: Other arguments of the env. None means the env's default. Worlds such as
+            "clutter", and those of an env that trains in a training split, become their test split.
             "clutter:train" means the training split.
 
     Raises:
-        PolicyError: no env is named, it can't be made, its observation is another one, or a real
+        PolicyError: No env is named, it can't be made, its observation is another one, or a real
             robot isn't one of those that the policy is for.
-        ConfigError: the env doesn't have one of the arguments.
+        ConfigError: The env doesn't have one of the arguments.
     """
     env_id = _check_id(policy)
     kwargs: dict[str, Any] = {"link": link, "robot": robot}
@@ -184,31 +182,34 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             env.close()
             tested = [f"{group.generator}:{registry.TEST}" for group in pool.sets]
             env = gymnasium.make(env_id, **kwargs, worlds=tested if tested[1:] else tested[0])
-    except (gymnasium.error.Error, ImportError) as error:
-        raise PolicyError(f"{policy.path}: made for {env_id}: {error}") from error
-    except TypeError as error:
-        names = ", ".join(kwargs)
-        raise ConfigError(
-            f"{env_id} doesn't take all of: {names} ({format_error(error)})"
-        ) from error
+    except (gymnasium.error.Error, ImportError, TypeError) as error:
+        raise PolicyError(f"{policy.path}: made for {env_id}: {format_error(error)}") from error
 
     inner = env.unwrapped
     try:
         if isinstance(inner, RobotEnv):
-            policy.check(inner.task, inner.sensors, env_policy_rate(inner), inner.robot.config)
-            if inner.robot.link.is_real:
-                refuse_outside(policy)
-            policy.bind(PolicyContext.of(inner))
-            if policy.privileged:
-                policy.watch(inner)
+            _fit_policy(policy, inner)
     except BaseException:
         env.close()
         raise
     return env
 
 
+def _fit_policy(policy: FilePolicy, env: RobotEnv) -> None:
+    """Check that a policy fits an env, and give it what it may know of the env."""
+    policy.check(env.task, env.sensors, env_policy_rate(env), env.robot.config)
+    if env.robot.link.is_real and policy.outside and not policy.anyway:
+        raise PolicyError(
+            f"{policy.path}: this robot's {', its '.join(policy.outside)} in the training: "
+            f"{RETRAIN_HINT}, or drive all the same with --anyway"
+        )
+    policy.bind(PolicyContext.of(env))
+    if policy.privileged:
+        policy.watch(env)
+
+
 def _check_id(policy: FilePolicy) -> str:
-    """Return the id of the env that a policy is for; PolicyError if it may not name it."""
+    """Return the id of the env that a policy is for. PolicyError if it may not name it."""
     env_id = escape_unprintable(policy.env_id, 300)
     if not env_id:
         raise PolicyError(
@@ -216,7 +217,6 @@ def _check_id(policy: FilePolicy) -> str:
             f"'acsar-gym policy {policy.path} --out policy.onnx --trust --env point_goal' or "
             "another env"
         )
-
     if not policy.env_named and not env_id.startswith("acsar_gym/"):
         raise PolicyError(
             f"{policy.path}: made for {env_id}, which isn't acsar_gym's: if you trust that "
@@ -229,7 +229,7 @@ def _check_id(policy: FilePolicy) -> str:
 
 
 def seed_range(first: int, count: int) -> range:
-    """Return the seeds of `count` episodes from `first` on; ConfigError if out of range."""
+    """Return the seeds of `count` episodes from `first` on. ConfigError if out of range."""
     if not 1 <= count <= MAX_EPISODES:
         raise ConfigError(f"--episodes {show_value(count)}: must be 1 to {MAX_EPISODES:,}")
     if not 0 <= first < SEED_LIMIT:
@@ -237,32 +237,27 @@ def seed_range(first: int, count: int) -> range:
     return range(first, first + count)
 
 
-@dataclass(frozen=True)
-class SentPolicy:
-    """A policy on its way to another process: itself, or the name of Python code to load there."""
+PolicyLoader = Callable[[], FilePolicy]
+"""Gives a policy to a process that drives: itself, or code that is loaded there by its name."""
 
-    policy: FilePolicy | str
-    env: str = ""
-    sha256: str | None = None
 
-    @classmethod
-    def of(cls, policy: FilePolicy) -> SentPolicy:
-        """Return how a policy is sent: code by its name, others with their bytes."""
-        if policy.instance is not None or not isinstance(policy, CallablePolicy):
-            return cls(policy)
-        name = f"{policy.path}:{policy.function}" if policy.function else str(policy.path)
-        return cls(name, policy.env_id, policy.sha256)
+def send_policy(policy: FilePolicy) -> PolicyLoader:
+    """Return what loads a policy in another process: code by its name, others by their bytes."""
+    if policy.instance is not None or not isinstance(policy, CallablePolicy):
+        return partial(_keep, policy)
+    name = f"{policy.path}:{policy.function}" if policy.function else str(policy.path)
+    return partial(_load_code, name, policy.env_id, policy.sha256)
 
-    def load(self) -> FilePolicy:
-        """Return the policy; PolicyError if its file has changed since it was loaded first."""
-        return self.policy if isinstance(self.policy, FilePolicy) else _load_code(self)
+
+def _keep(policy: FilePolicy) -> FilePolicy:
+    return policy
 
 
 @lru_cache(maxsize=4)
-def _load_code(sent: SentPolicy) -> FilePolicy:
-    """Load code once in a process, for many jobs."""
-    policy = load_policy(sent.policy, trust=False, env=sent.env)
-    if policy.sha256 != sent.sha256:
+def _load_code(name: str, env_id: str, sha256: str | None) -> FilePolicy:
+    """Load code once in a process, for many jobs. PolicyError if it has changed."""
+    policy = load_policy(name, trust=False, env=env_id)
+    if policy.sha256 != sha256:
         raise PolicyError(f"{policy.path}: changed since it was loaded: start again")
     return policy
 
@@ -271,7 +266,7 @@ def _load_code(sent: SentPolicy) -> FilePolicy:
 class EpisodeJob:
     """Episodes of a policy, for one process."""
 
-    policy: SentPolicy
+    load: PolicyLoader
     link: str
     robot: RobotConfig = field(repr=False)
     options: Mapping[str, Any] = field(repr=False)
@@ -280,12 +275,12 @@ class EpisodeJob:
     late_share: float = episodes.MAX_LATE_SHARE
 
     def make_env(self) -> Env:
-        """Make the env of the episodes, and check that the policy fits; see `make_env`."""
-        return make_env(self.policy.load(), self.link, self.robot, self.options)
+        """Make the env of the episodes, and check that the policy fits, see `make_env`."""
+        return make_env(self.load(), self.link, self.robot, self.options)
 
     def drive(self, env: Env) -> Generator[Episode, None, None]:
         """Drive the episodes, and yield each."""
-        return episodes.run_resets(env, self.policy.load(), self.resets, self.late_share)
+        return episodes.run_resets(env, self.load(), self.resets, self.late_share)
 
 
 def run_job(job: EpisodeJob) -> list[Episode]:
@@ -300,83 +295,61 @@ def evaluate_policy(
     robot: RobotSource,
     seeds: range,
     *,
-    in_order: bool = False,
     late_share: float = episodes.MAX_LATE_SHARE,
     workers: int | None = None,
-    address: str | None = None,
     **options: Any,
 ) -> EvaluationRun:
-    """Evaluate a policy in worlds of the test split, with a progress bar; closes the link.
+    """Evaluate a policy in worlds of the test split, with a progress bar. Closes the link.
 
-    An emergency stop, an interrupt, and a link that can't be opened again end it after an episode;
-    the finished episodes are kept. An episode depends on its seed alone, so the results in several
+    An emergency stop, an interrupt, and a link that can't be opened again end it after an episode.
+    The finished episodes are kept. An episode depends on its seed alone, so the results in several
     processes are those of one.
 
     Args:
         policy: The policy.
-        link: Name of the link; more than one worker need a simulated robot.
-        robot: Preset, file or config of the robot; None for the default.
+        link: Name of the link. More than one worker need a simulated robot.
+        robot: Preset, file or config of the robot. None for the default.
         seeds: Seeds of the episodes.
-        in_order: Use the env's worlds one after the other, instead of random ones.
         late_share: Largest share of late ticks in a valid episode, 0 to 1.
         workers: As for `jobs.run_jobs`.
-        address: As for `jobs.run_jobs`.
         **options: Other arguments of the env.
     """
-    with require_extra("an evaluation", "scipy"):  # before the first episode, not after the last
-        import scipy  # noqa: F401, PLC0415
-    config = RobotConfig.of(robot)
-    is_parallel = address is not None or workers not in (None, 1)
-    if is_parallel:
-        _check_parallel(link, options)
-    else:
-        compile_ahead(policy, link, config)
-    sent = SentPolicy.of(policy)
-    env = make_env(policy, link, robot, options)
-    resets = episodes.plan_resets(env, seeds, in_order=in_order)
-    _warn_differences(policy)
+    resets: Resets = [(seed, {}) for seed in seeds]
+    is_parallel = workers not in (None, 1)
+    if is_parallel and link not in BODIES:
+        raise ConfigError(
+            f"--link {show_value(link)}: one process drives one robot: --workers needs --link "
+            f"{' or '.join(BODIES)}"
+        )
+    if is_parallel and options.get("record") is not None:
+        raise ConfigError("--record: one process records: leave out --workers")
 
-    if is_parallel:
-        job = EpisodeJob(sent, link, config, options, resets=resets, late_share=late_share)
-        running = _run_in_parallel(job, choose_part_size(job, workers), workers, address)
-    else:
+    def drive(env: Env) -> Iterator[Episode]:
         running = episodes.run_resets(env, policy, resets, late_share)
-    with contextlib.closing(running):
+        if is_parallel:
+            load = send_policy(policy)
+            job = EpisodeJob(load, link, RobotConfig.of(robot), options, resets, late_share)
+            running = _run_in_parallel(job, workers or 1)
         title = f"episodes, {report.escape_text(link)}"
-        watched = report.watch_progress(title, running, len(seeds))
-        about = {"in_order": in_order, "late_share": late_share}
-        done = _collect_run(watched, env, policy, link, seeds=seeds, about=about)
+        with contextlib.closing(running):
+            yield from report.watch_progress(title, running, len(seeds))
+
+    about = {"late_share": late_share}
+    done = drive_episodes(policy, link, robot, drive, about=about, seeds=seeds, **options)
     done.results.sort(key=lambda episode: seeds.index(episode.seed or 0))
-    done.header.update(workers=workers if address else workers or 1, address=address)
+    done.header["workers"] = workers or 1
     return done
 
 
-def _check_parallel(link: str, options: Mapping[str, Any]) -> None:
-    """Raise ConfigError if an evaluation needs a single process."""
-    if link not in BODIES:
-        raise ConfigError(
-            f"--link {show_value(link)}: one process drives one robot: --workers and --address "
-            f"need --link {' or '.join(BODIES)}"
-        )
-    if options.get("record") is not None:
-        raise ConfigError("--record: one process records: leave out --workers")
-
-
-def choose_part_size(job: EpisodeJob, workers: int | None) -> int:
-    """Return how many episodes a process drives at a time: workers then end about together."""
-    is_batched = job.link == "planar" and job.policy.load().act_many is not None
-    limit = MAX_BATCHED_EPISODES if is_batched else MAX_PART_EPISODES
-    size = len(job.resets) // (PARTS_PER_WORKER * workers) if workers else limit
-    return max(1, min(limit, size))
-
-
-def _run_in_parallel(
-    whole: EpisodeJob, size: int, workers: int | None, address: str | None
-) -> Generator[Episode, None, None]:
-    """Yield the episodes of a job, `size` at a time in a process."""
-    firsts = range(0, len(whole.resets), size)
-    parts = [replace(whole, resets=whole.resets[first : first + size]) for first in firsts]
-    with contextlib.closing(run_jobs(run_job, parts, workers, address)) as finished:
+def _run_in_parallel(job: EpisodeJob, workers: int) -> Generator[Episode, None, None]:
+    """Yield the episodes of a job, which several processes drive in parts."""
+    size = len(job.resets) // (PARTS_PER_WORKER * workers)
+    size = max(1, min(MAX_PART_EPISODES, size))
+    parts = [
+        replace(job, resets=job.resets[first : first + size])
+        for first in range(0, len(job.resets), size)
+    ]
+    with contextlib.closing(run_jobs(run_job, parts, workers)) as finished:
         for _, results in finished:
             yield from results
 
@@ -384,18 +357,17 @@ def _run_in_parallel(
 def drive_to_goal(
     policy: FilePolicy,
     link: str,
-    robot: str | None,
+    robot: RobotSource,
     goal: tuple[float, float],
     *,
     ready: Callable[[], object] = lambda: None,
     late_share: float = episodes.MAX_LATE_SHARE,
     **options: Any,
 ) -> EvaluationRun:
-    """Run one episode to `goal` (x, y) [m] in the odometry frame; arguments as `evaluate_policy`.
+    """Run one episode to `goal` (x, y) [m] in the odometry frame, as `drive_episodes`.
 
     `ready` is called before anything moves, after everything that is known about the policy has
-    been printed. With `goal_distance`, goals may be nearer or farther than those of the training,
-    and the time limit grows with the distance.
+    been printed.
     """
 
     def drive(env: Env) -> Iterator[Episode]:
@@ -403,16 +375,70 @@ def drive_to_goal(
         return episodes.run_episodes(env, policy, 1, seed=0, goal=goal, late_share=late_share)
 
     about = {"goal": goal, "late_share": late_share}
-    return drive_to_goals(
-        policy,
-        link,
-        robot,
-        drive=drive,
-        farthest=math.hypot(*goal),
-        about=about,
-        seeds=range(1),
-        **options,
-    )
+    farthest = math.hypot(*goal)
+    return drive_episodes(policy, link, robot, drive, about=about, farthest=farthest, **options)
+
+
+def drive_episodes(
+    policy: FilePolicy,
+    link: str,
+    robot: RobotSource,
+    drive: Callable[[Env], Iterable[Episode]],
+    *,
+    about: Mapping[str, Any],
+    seeds: range | None = None,
+    farthest: float = 0.0,
+    **options: Any,
+) -> EvaluationRun:
+    """Run the episodes that `drive` yields with an env of a policy. Closes the link.
+
+    With the option `goal_distance`, goals may be nearer or farther than those of the training, and
+    the time limit grows with the distance. An error of the link before the first result is raised,
+    unless it is an emergency stop.
+
+    Args:
+        policy: The policy. It is refused on a real robot of another size or speed.
+        link: Name of the link.
+        robot: Preset, file or config of the robot. None for the default.
+        drive: Makes the episodes.
+        about: What the header contains about the episodes.
+        seeds: Seeds of the episodes. None if they count up from 0.
+        farthest: Distance of the farthest goal [m].
+        **options: Other arguments of the env.
+    """
+    check_extra("an evaluation", "scipy", "scipy")  # before the first episode, not after the last
+    if options.get("goal_distance") is not None and policy.scale:
+        options["distance_scale"] = policy.scale
+        steps = gymnasium.spec(_check_id(policy)).max_episode_steps
+        if steps is not None:
+            options["max_episode_steps"] = math.ceil(steps * max(1.0, farthest / policy.scale))
+    compile_ahead(policy, link, RobotConfig.of(robot))
+    env = make_env(policy, link, robot, options)
+    for line in policy.differences:
+        warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=2)
+
+    results: list[Episode] = []
+    ended: LinkError | KeyboardInterrupt | None = None
+    try:
+        for episode in drive(env):
+            results.append(episode)  # noqa: PERF402 - finished episodes count if others fail
+    except (EmergencyStopError, KeyboardInterrupt) as error:
+        ended = error
+    except LinkError as error:
+        if not results:
+            raise
+        ended = error
+    finally:
+        env.close()  # before the files are hashed
+
+    # A real robot is in none of the worlds.
+    inner: Any = env.unwrapped
+    device = inner.robot.link
+    is_placed = not device.is_real or (device.ros is not None and device.ros.is_simulated)
+    worlds = str(inner.pool) if inner.pool is not None and is_placed else "none"
+    seeds = seeds or range(max(len(results), 1))
+    header = provenance.make_header(env, policy, link, seeds, about)
+    return EvaluationRun(header, worlds, results, ended)
 
 
 def compile_ahead(policy: FilePolicy, link: str, config: RobotConfig) -> None:
@@ -425,96 +451,3 @@ def compile_ahead(policy: FilePolicy, link: str, config: RobotConfig) -> None:
                 env.reset(seed=0)
                 env.step(np.zeros(env.action_space.shape or (), np.float32))
             return
-
-
-def drive_to_goals(
-    policy: FilePolicy,
-    link: str,
-    robot: RobotSource,
-    drive: Callable[[Env], Iterable[Episode]],
-    farthest: float,
-    about: Mapping[str, Any],
-    seeds: range | None = None,
-    **options: Any,
-) -> EvaluationRun:
-    """Run the episodes that `drive` yields with an env of a policy; closes the link.
-
-    Args:
-        policy: The policy; refused on a real robot of another size or speed.
-        link: Name of the link.
-        robot: Preset, file or config of the robot; None for the default.
-        drive: Makes the episodes.
-        farthest: Distance of the farthest goal [m]; with `goal_distance`, the time limit grows
-            with it.
-        about: What the header contains about the episodes.
-        seeds: Seeds of the episodes; None if they count up from 0.
-        **options: Other arguments of the env.
-    """
-    if options.get("goal_distance") is not None and policy.scale:
-        options["distance_scale"] = policy.scale
-        steps = gymnasium.spec(_check_id(policy)).max_episode_steps
-        if steps is not None:
-            longer = max(1.0, farthest / policy.scale)
-            options["max_episode_steps"] = math.ceil(steps * longer)
-    config = RobotConfig.of(robot)
-    compile_ahead(policy, link, config)
-    env = make_env(policy, open_link(link, config), config, options)
-    with contextlib.closing(env):
-        _warn_differences(policy)
-        return _collect_run(drive(env), env, policy, link, seeds=seeds, about=about)
-
-
-def _warn_differences(policy: FilePolicy) -> None:
-    """Issue an AcsarWarning for each way in which task and robot differ from the training."""
-    for line in policy.differences:
-        warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=3)
-
-
-def refuse_outside(policy: FilePolicy) -> None:
-    """Raise PolicyError if the robot has another size or speed than those of the training."""
-    if policy.outside and not policy.anyway:
-        raise PolicyError(
-            f"{policy.path}: this robot's {', its '.join(policy.outside)} in the training: "
-            f"{RETRAIN_HINT}, or drive all the same with --anyway"
-        )
-
-
-def _collect_run(
-    running: Iterable[Episode],
-    env: Env,
-    policy: FilePolicy,
-    link: str,
-    *,
-    seeds: range | None,
-    about: Mapping[str, Any],
-) -> EvaluationRun:
-    """Collect episodes, with what ended them early, and the header; closes the env.
-
-    Without `seeds`, they count up from 0. A link's error before the first result is raised, unless
-    it is an emergency stop.
-    """
-    driven: list[Episode] = []
-    ended: LinkError | KeyboardInterrupt | None = None
-    try:
-        for episode in running:
-            driven.append(episode)  # noqa: PERF402 - what is there counts where the rest fails
-    except (EmergencyStopError, KeyboardInterrupt) as error:
-        ended = error
-    except LinkError as error:
-        if not driven:
-            raise
-        ended = error
-    finally:
-        env.close()  # before the files are hashed
-
-    inner: Any = env.unwrapped
-    seeds = range(max(len(driven), 1)) if seeds is None else seeds
-    header = provenance.make_header(env, policy, link, seeds, about)
-    return EvaluationRun(header, describe_worlds(inner), driven, ended)
-
-
-def describe_worlds(env: RobotEnv) -> str:
-    """Describe the worlds of an env. A real robot is in none of them."""
-    link = env.robot.link
-    is_placed = not link.is_real or (link.ros is not None and link.ros.is_simulated)
-    return str(env.pool) if env.pool is not None and is_placed else "none"

@@ -24,7 +24,7 @@ from acsar_gym.sensors.map.sensor import find_map
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_to_goals, load_policy
+from acsar_gym.tools.evaluation.runs import EvaluationRun, drive_episodes, load_policy
 from acsar_gym.tools.policies import FilePolicy
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import to_odometry, to_world
@@ -492,7 +492,7 @@ def drive_policy(
         def drive(env: gymnasium.Env[Any, Any]) -> Iterator[Episode]:
             return drive_goals(env, policy, node, count, how)
 
-        results = drive_to_goals(
+        results = drive_episodes(
             policy,
             link,
             config,

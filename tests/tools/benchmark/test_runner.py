@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
+import shutil
 import sys
 import uuid
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +16,14 @@ import pytest
 
 from acsar_gym.errors import AcsarError, CancelledError, ConfigError
 from acsar_gym.resources import AGENTS
-from acsar_gym.tools.benchmark import agents, plan, runner
+from acsar_gym.tools.benchmark import plan, runner
 from acsar_gym.tools.benchmark.agents import Agent, choose_agents
 from acsar_gym.tools.benchmark.plan import Cell, Plan
 from acsar_gym.tools.benchmark.scenes import choose_sets, find_sets
 from acsar_gym.tools.benchmark.table import CellResult
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episodes import run_episodes
+from acsar_gym.tools.evaluation.metrics import replace_nonfinite
 
 ID = "acsar_gym/PointGoal-v0"
 SET = find_sets(ID)[0]
@@ -35,37 +39,34 @@ def make_plan(*names: str, **changes: Any) -> Plan:
     return Plan(tuple(choose(*(names or ("turn_drive",)))), (SET,), **options)
 
 
-def episodes_of(results: Mapping[Cell, CellResult]) -> str:
-    """The cells without their times."""
-    return repr([(cell.about, result.episodes) for cell, result in results.items()])
+def describe(results: Mapping[Cell, CellResult]) -> str:
+    """The cells without their times, as JSON has them."""
+    return json.dumps([(cell.about, replace_nonfinite(r.episodes)) for cell, r in results.items()])
 
 
 @pytest.mark.parametrize("name", ["turn_drive", "packaged"])
-def test_episodes_are_those_of_an_evaluation_with_the_same_seeds(name: str, tmp_path: Path) -> None:
+def test_run_plan_gives_the_episodes_of_an_evaluation(name: str, tmp_path: Path) -> None:
     (result,) = runner.run_plan(make_plan(name), tmp_path).values()
     (agent,) = choose(name)
     env = runs.make_env(agent.policy, "planar", None, {})
     episodes = list(run_episodes(env, agent.policy, 2, SET.numbers[0]))
     env.close()
-    assert [episode.success for episode in result.episodes] == [True, True]
-    for figure in ("path", "energy", "time"):
-        theirs = [getattr(episode, figure) for episode in episodes]
-        assert [getattr(episode, figure) for episode in result.episodes] == theirs
+    assert repr([replace(e, score=math.nan) for e in result.episodes]) == repr(episodes)
     assert all(0.0 < episode.score < 1.0 for episode in result.episodes)
 
 
-def test_an_interrupted_benchmark_continues(
+def test_run_plan_continues_an_interrupted_benchmark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Finished cells aren't driven again, and the result is that of one run."""
     wanted = make_plan(conditions=("nominal", "feedback-30", "dropped-2"))
     whole = runner.run_plan(wanted, runner.open_folder(wanted, tmp_path / "whole", None))
     drive = runner.drive_cell
-    driven = []
+    jobs = []
 
     def interrupted(job: runs.EpisodeJob) -> CellResult:
-        driven.append(job)
-        if len(driven) == 3:
+        jobs.append(job)
+        if len(jobs) == 3:
             raise KeyboardInterrupt
         return drive(job)
 
@@ -74,18 +75,16 @@ def test_an_interrupted_benchmark_continues(
     with pytest.raises(CancelledError, match=r"2 of 3 .* --resume") as caught:
         runner.run_plan(wanted, folder)
     assert caught.value.exit_code == 130
+
     with (folder / runner.CELLS_FILE).open("a", encoding="utf-8") as file:
-        file.write('{"agent": "turn_dr')  # a full disk cut it
+        file.write('\n{"agent": "turn_dr')  # a full disk cut it
     assert runner.open_folder(wanted, None, folder) == folder
-    assert episodes_of(runner.run_plan(wanted, folder)) == episodes_of(whole)
-    assert len(driven) == 4
-    assert runner.run_plan(wanted, folder).keys() == whole.keys()
-    assert len(driven) == 4
+    assert describe(runner.run_plan(wanted, folder)) == describe(whole)
+    assert describe(runner.run_plan(wanted, folder)) == describe(whole)
+    assert len(jobs) == 4
 
 
-def test_each_benchmark_has_a_folder_of_its_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_open_folder_makes_the_next_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     folders = [runner.open_folder(make_plan(), None, None) for _ in range(2)]
     assert [str(folder) for folder in folders] == ["runs/benchmark/1", "runs/benchmark/2"]
@@ -97,11 +96,10 @@ def test_each_benchmark_has_a_folder_of_its_own(
     ("changes", "difference"),
     [
         ({"count": 3}, r"scenes\.PointGoal-v0 open/acsar\.count"),
-        ({"conditions": ("feedback-20",)}, r"conditions\.nominal"),
-        ({"links": ("bullet",)}, "links"),
+        ({"conditions": ("feedback-20",)}, r"conditions\.nominal.*"),
     ],
 )
-def test_another_plan_is_not_continued(
+def test_open_folder_refuses_another_plan(
     changes: dict[str, Any], difference: str, tmp_path: Path
 ) -> None:
     folder = runner.open_folder(make_plan(), tmp_path / "run", None)
@@ -109,7 +107,7 @@ def test_another_plan_is_not_continued(
         runner.open_folder(make_plan(**changes), None, folder)
 
 
-def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
+def test_run_plan_reports_agents_that_cannot_drive_there(tmp_path: Path) -> None:
     wanted = make_plan("pure_pursuit", "turn_drive", count=1)
     refused, driven = runner.run_plan(wanted, tmp_path).values()
     assert "needs a path" in refused.refused
@@ -118,24 +116,20 @@ def test_an_agent_that_cannot_drive_there_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", list(plan.CONDITIONS))
-def test_every_condition_can_be_driven(name: str) -> None:
+def test_drive_cell_drives_under_every_condition(name: str) -> None:
     (cell,) = make_plan(conditions=(name,), count=1).cells()
     (episode,) = runner.drive_cell(cell.job).episodes
     assert episode.seed == SET.numbers[0]
 
 
-def test_privileged_agents_drive_only_if_they_are_named() -> None:
-    assert agents.PRIVILEGED not in {agent.kind for agent in choose()}
-    found = {agent.name: agent.kind for agent in choose("orca_true", "dwa")}
-    assert found == {"orca_true": "privileged", "dwa": "baseline"}
-
-
-def test_agents_for_movers_drive_unnamed_only_if_the_robot_senses_them() -> None:
+def test_choose_agents_without_names_leaves_out_what_does_not_fit() -> None:
+    """Agents for movers drive if the robot senses them, agents that know the truth if named."""
     sets = choose_sets([], ["clutter/acsar", "crowd/acsar"])
-    found = {(agent.name, agent.id) for agent in choose(sets=sets)}
-    assert {("dwa", "ObstacleGoal-v1"), ("dwa", "Crowd-v0"), ("orca", "Crowd-v0")} < found
-    assert ("orca", "ObstacleGoal-v1") not in found
-    assert choose("orca", sets=sets[:1])
+    found = {(agent.name, agent.env[10:-3]) for agent in choose(sets=sets)}
+    assert {("dwa", "ObstacleGoal"), ("dwa", "Crowd"), ("orca", "Crowd")} < found
+    assert not {("orca", "ObstacleGoal"), ("orca_true", "Crowd")} & found
+    kinds = {agent.name: agent.kind for agent in choose("orca_true", "dwa")}
+    assert kinds == {"orca_true": "privileged", "dwa": "baseline"}
 
 
 PLANNERS = """
@@ -166,22 +160,28 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return name
 
 
-def test_agents_of_a_user_drive_beside_others(module: str, tmp_path: Path) -> None:
+def test_choose_agents_takes_policies_of_a_user(module: str, tmp_path: Path) -> None:
     sets = [SET, find_sets("acsar_gym/PathFollow-v0")[0]]
     Path("mine.onnx").write_bytes((AGENTS / "policies" / "point_goal.onnx").read_bytes())
-    found = [*choose(f"{module}:Planner", f"{module}.py:act", "turn_drive", sets=sets)]
-    assert [(agent.name, agent.id) for agent in found] == [
-        *(("Planner", name) for name in ("PointGoal-v0", "PathFollow-v0")),
-        *((module, name) for name in ("PointGoal-v0", "PathFollow-v0")),
-        *(("turn_drive", name) for name in ("PointGoal-v0", "PathFollow-v0")),
-    ]
+    found = choose(f"{module}:Planner", f"{module}.py:act", "turn_drive", sets=sets)
+    names = [name for name in ("Planner", module, "turn_drive") for _ in sets]
+    assert [agent.name for agent in found] == names
+    assert [agent.env for agent in found] == [scenes.env for scenes in sets] * 3
     wanted = make_plan("mine.onnx", f"{module}:Own", f"{module}.py:act", "packaged")
     results = runner.run_plan(wanted, tmp_path)
     assert [len(result.episodes) for result in results.values()] == [2, 2, 2, 2]
 
 
-def test_the_source_of_an_agent_and_what_it_imports_count(module: str, tmp_path: Path) -> None:
-    """A benchmark whose agent has changed isn't continued."""
+def test_choose_agents_takes_the_seeds_of_a_folder(tmp_path: Path) -> None:
+    for seed in (10, 2, 1):
+        folder = tmp_path / "mine" / f"seed-{seed}"
+        folder.mkdir(parents=True)
+        shutil.copy(AGENTS / "policies" / "point_goal.onnx", folder / "policy.onnx")
+    found = choose("mine", trained=tmp_path)
+    assert [(agent.name, agent.training_seed) for agent in found] == [("mine", 1), ("mine", 2)]
+
+
+def test_open_folder_hashes_what_an_agent_imports(module: str, tmp_path: Path) -> None:
     source = Path(f"{module}.py").read_text()
     Path(f"{module}_gain.py").write_text("GAIN = 0.8\n")
     Path(f"{module}.py").write_text(f"from {module}_gain import GAIN\n{source}")
@@ -197,13 +197,12 @@ def test_the_source_of_an_agent_and_what_it_imports_count(module: str, tmp_path:
     ("names", "message"),
     [
         (["none.onnx"], "none.onnx"),
-        (["no_such_module:Planner"], "no_such_module"),
         (["barn.onnx"], "--agents barn.onnx: has no policy for PointGoal-v0 of set open/acsar"),
         (["turn_drive.py:act", "turn_drive"], "2 of them are called 'turn_drive'"),
         (["turn_drve"], "--agents 'turn_drve'; did you mean 'turn_drive'"),
     ],
 )
-def test_agents_that_cannot_be_compared_are_one_line(
+def test_choose_agents_refuses_what_cannot_be_compared(
     names: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -216,12 +215,10 @@ def test_agents_that_cannot_be_compared_are_one_line(
     assert error.value.exit_code == 2
 
 
-def test_two_processes_give_the_results_of_one(module: str, tmp_path: Path) -> None:
+def test_run_plan_gives_the_same_results_with_two_workers(module: str, tmp_path: Path) -> None:
     """The same numbers, of a policy in a file, a planner and code of a user."""
     wanted = make_plan("packaged", "turn_drive", f"{module}.py:act")
     one = runner.run_plan(wanted, runner.open_folder(wanted, tmp_path / "one", None))
     folder = runner.open_folder(wanted, tmp_path / "two", None)
     two = runner.run_plan(wanted, folder, workers=2)
-    assert episodes_of(one) == episodes_of(two)
-    lines = (folder / runner.CELLS_FILE).read_text().splitlines()
-    assert len([json.loads(line) for line in lines]) == 3
+    assert describe(one) == describe(two)

@@ -11,127 +11,127 @@ import pytest
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
-from acsar_gym.tools.benchmark import SCENES, SceneSet, scenes
+from acsar_gym.tools.benchmark import SCENES, SceneSet
+from acsar_gym.tools.benchmark.scenes import (
+    choose_sets,
+    find_sets,
+    hash_scenes,
+    published_sets,
+    read_pool,
+)
 from acsar_gym.tools.evaluation.provenance import hash_world
 from acsar_gym.worlds import Region, World, files
 from acsar_gym.worlds.movers import walk
 
-
-@pytest.mark.parametrize(
-    "env_id",
-    [
-        "PointGoal-v0",
-        "PathFollow-v0",
-        pytest.param("ObstacleGoal-v1", marks=pytest.mark.slow),
-        pytest.param("Barn-v1", marks=pytest.mark.slow),
-        pytest.param("Crowd-v0", marks=pytest.mark.slow),
-        pytest.param("DynaBarn-v0", marks=pytest.mark.slow),
-    ],
-)
-def test_the_scenes_are_those_that_were_recorded(env_id: str) -> None:
-    SCENES[env_id].test.check(1000)
-    SCENES[env_id].validation.check(64)
-
-
-EVERY_SET = [some for name in IDS for some in scenes.find_sets(f"acsar_gym/{name}")]
+SPLITS = [scenes for splits in SCENES.values() for scenes in splits if scenes.split != "train"]
+DRIVEN = [scenes for name in IDS for scenes in find_sets(f"acsar_gym/{name}")]
 
 
 @pytest.mark.parametrize(
-    "some",
+    "scenes",
     [
         pytest.param(
-            each,
-            id=each.name,
-            marks=() if each.id in ("PointGoal-v0", "PathFollow-v0") else pytest.mark.slow,
+            scenes,
+            id=f"{scenes.id} {scenes.name}",
+            marks=() if scenes.id in ("PointGoal-v0", "PathFollow-v0") else pytest.mark.slow,
         )
-        for each in EVERY_SET
+        for scenes in (*SPLITS, *DRIVEN)
     ],
 )
-def test_the_sets_are_those_that_were_recorded(some: SceneSet) -> None:
-    assert len(some.blocks) == 10
-    some.check(300)
+def test_check_accepts_the_scenes_that_were_recorded(scenes: SceneSet) -> None:
+    assert len(scenes.blocks) == (1 if scenes.split == "validation" else 10)
+    scenes.check(min(300 if scenes in DRIVEN else 1000, len(scenes)))
 
 
-def test_the_sets_that_are_driven() -> None:
-    """Robots in the names of sets that have several; their scores; easy worlds for wide robots."""
-    found = {some.name: some for some in EVERY_SET}
+def test_find_sets_of_this_package() -> None:
+    """Robots in the names of sets that have several, scores, easy worlds for wide robots."""
+    found = {scenes.name: scenes for scenes in DRIVEN}
     names = ["open", "clutter", "clutter-unseen", "barn", "barn-fast", "barn-husky", "barn-unseen"]
     names += ["crowd", "crowd-reacting", "dynabarn", "path"]
     assert list(dict.fromkeys(name.partition("/")[0] for name in found)) == names
     assert {found[f"{name}/jackal"].score for name in names[-4:-1]} == {"completion_time"}
     assert len([name for name in found if name.startswith("clutter-unseen/drawn:")]) == 5
-    fast, husky = found["barn-fast"], found["barn-husky"]
+
+    fast = found["barn-fast"]
+    husky = found["barn-husky"]
     assert (fast.robot, fast.score, fast.config.max_linear) == ("jackal", "barn_score", 2.0)
     assert (husky.score, husky.difficulty, fast.difficulty) == ("barn_score_own", 0.2, None)
     assert found["clutter/husky"].difficulty is None
     assert found["clutter/acsar"].sha256 != found["clutter/husky"].sha256
+    assert found["path/acsar"].resets[1] == (100_001, {"world": 100_001})
+    assert found["open/acsar"].resets[1] == (2**33 + 1, {})
 
 
 @pytest.mark.parametrize(
     ("names", "chosen"),
     [
         ((), ["barn", "barn-fast", "barn-husky"]),
-        (("barn",), ["barn"]),
         (("barn-fast", "barn"), ["barn-fast", "barn"]),
         (("clutter",), ["clutter/acsar", "clutter/jackal", "clutter/husky"]),
         (("clutter/husky",), ["clutter/husky"]),
     ],
 )
-def test_sets_are_chosen_by_name(names: tuple[str, ...], chosen: list[str]) -> None:
-    envs = [] if names else ["acsar_gym/Barn-v1"]
-    found = scenes.choose_sets(envs, names)
-    assert [some.name for some in found if "drawn:" not in some.robot] == chosen
+def test_choose_sets_by_name(names: tuple[str, ...], chosen: list[str]) -> None:
+    found = choose_sets([] if names else ["barn"], names)
+    assert [scenes.name for scenes in found if "drawn:" not in scenes.robot] == chosen
 
 
-def test_robots_of_ones_own_drive_the_same_sets(tmp_path: Path) -> None:
+def test_choose_sets_refuses_unknown_names() -> None:
+    with pytest.raises(ConfigError, match=r"--sets .barn-slow.*barn"):
+        choose_sets([], ["barn-slow"])
+
+
+def test_find_sets_takes_robots_of_a_user(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     RobotConfig.preset("jackal").save(file)
-    found = scenes.find_sets("acsar_gym/Barn-v1", ["jackal", str(file)])
-    told = {some.name: some for some in found}
-    assert told["barn/jackal"].robot == told["barn-fast"].robot == "jackal"
-    before = told["barn-fast/mine"].about
-    assert before["robot"] == "mine.yaml"
-    assert str(tmp_path) not in str(before)
+    found = {s.name: s for s in find_sets("acsar_gym/Barn-v1", ["jackal", str(file)])}
+    assert found["barn/jackal"].robot == found["barn-fast"].robot == "jackal"
+    about = found["barn-fast/mine"].about
+    assert about["robot"] == "mine.yaml"
+    assert str(tmp_path) not in str(about)
     RobotConfig.preset("jackal").with_(max_linear=1.0).save(file)
-    (one,) = scenes.find_sets("acsar_gym/PointGoal-v0", [str(file)])
-    assert one.about["robot_sha256"] != before["robot_sha256"]
+    (changed,) = find_sets("acsar_gym/PointGoal-v0", [str(file)])
+    assert changed.about["robot_sha256"] != about["robot_sha256"]
     with pytest.raises(ConfigError, match="two of them are mine: rename"):
-        scenes.find_sets("acsar_gym/Barn-v1", [str(file), "mine.urdf"])
+        find_sets("acsar_gym/Barn-v1", [str(file), "mine.urdf"])
 
 
-def test_another_version_of_the_scenes_is_refused() -> None:
+def test_check_refuses_another_version() -> None:
     changed = SceneSet("acsar_gym/PathFollow-v0", "test", "smooth_path", range(100_001, 100_101))
-    with pytest.raises(ConfigError, match="PathFollow-v0 test") as caught:
+    with pytest.raises(ConfigError, match=r"PathFollow-v0 test .* from 100001 on") as caught:
         changed.check(1)
     assert "\n" not in str(caught.value)
+    with pytest.raises(ConfigError, match="has 100 scenes, 101 were asked for"):
+        changed.check(101)
 
 
-def test_the_hash_is_of_geometry_start_and_goal() -> None:
+def test_hash_world_depends_on_geometry_start_and_goal() -> None:
     world = World(np.array([[1.0, 0.5, 0.1]]), goal=Region(3.0, 0.0))
-    others = [
+    worlds = [
+        world,
         World(np.array([[1.0, 0.5, 0.1001]]), goal=Region(3.0, 0.0)),
         World(np.array([[1.0, 0.5, 0.1]]), goal=Region(3.0, 0.1)),
         World(np.array([[1.0, 0.5, 0.1]]), start=Region(0.0, 0.0), goal=Region(3.0, 0.0)),
         World(segments=np.array([[1.0, 0.5, 0.1, 0.0]]), goal=Region(3.0, 0.0)),
+        *(replace(world, movers=[walk([[0.0, y], [4.0, y]])]) for y in (1.0, 1.0001)),
     ]
-    others += [replace(world, movers=[walk([[0.0, y], [4.0, y]])]) for y in (1.0, 1.0001)]
-    assert len({hash_world(other) for other in others}) == len(others)
-    own = hash_world(world)
-    assert all(hash_world(other) != own for other in others)
+    assert len(set(map(hash_world, worlds))) == len(worlds)
     same = World(np.array([[1.0 + 1e-12, 0.5, 0.1]]), goal=Region(3.0, -1e-12), name="other")
-    assert hash_world(same) == own
+    assert hash_world(same) == hash_world(world)
 
 
-def test_published_worlds_are_a_set_of_their_own(tmp_path: Path) -> None:
+def test_published_sets(tmp_path: Path) -> None:
     for number in range(2):
         files.save_world(World(goal=Region(3.0 + number, 0.0)), tmp_path / f"{number}.json")
-    own = scenes.find_sets("acsar_gym/Barn-v1")
-    found, fast = scenes.published_sets(own, tmp_path)
+    packaged = find_sets("acsar_gym/Barn-v1")
+    found, fast = published_sets(packaged, tmp_path)
     assert (found.name, len(found), found.worlds) == ("barn-published", 2, str(tmp_path))
     assert (fast.name, fast.robot, fast.score) == ("barn-fast-published", "jackal", "barn_score")
     found.check(2)
-    before = found.sha256
+
+    # Another world is another set.
+    sha256 = found.sha256
     files.save_world(World(goal=Region(9.0, 0.0)), tmp_path / "2.json")
-    scenes.read_pool.cache_clear()
-    scenes.hash_scenes.cache_clear()
-    assert scenes.published_sets(own, tmp_path)[0].sha256 != before
+    read_pool.cache_clear()
+    hash_scenes.cache_clear()
+    assert published_sets(packaged, tmp_path)[0].sha256 != sha256

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -81,8 +82,8 @@ def test_a_fault_is_a_column_and_no_time_out(call: Call, monkeypatch: pytest.Mon
     status, output, message = call(*EVALUATE)
     assert status == 3
     assert_one_line(message, "unplugged")
-    assert "fault" in output
-    assert "time-out" not in output
+    assert re.search(r"fault \[%\] +│ +100\.0 ", output)
+    assert re.search(r"time-out \[%\] +│ +0\.0 ", output)
     assert "Faults: " in output
 
 

@@ -21,7 +21,7 @@ from acsar_gym.tools.evaluation.episode import (
     odometry_errors,
 )
 from acsar_gym.tools.evaluation.episodes import run_episodes
-from acsar_gym.tools.evaluation.metrics import describe_episodes, summarise_episodes
+from acsar_gym.tools.evaluation.metrics import replace_nonfinite, summarise_episodes
 from acsar_gym.tools.evaluation.report import summary_table
 
 
@@ -78,7 +78,7 @@ def run(link: str | Link, policy: Any = lambda _: CURVE, **options: Any) -> Epis
 
 def as_json(episode: Episode) -> dict[str, Any]:
     """The episode as strict JSON has it: without NaN."""
-    (read,) = json.loads(json.dumps(describe_episodes([episode]), allow_nan=False))
+    (read,) = json.loads(json.dumps(replace_nonfinite([episode]), allow_nan=False))
     assert isinstance(read, dict)
     return read
 

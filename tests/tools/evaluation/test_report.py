@@ -36,4 +36,4 @@ def test_the_page_of_an_evaluation(tmp_path: Path) -> None:
     summary = metrics.summarise_episodes(driven)
     report.write_evaluation_page(path, "two episodes", summary, driven)
     html = path.read_text(encoding="utf-8")
-    assert "<td>success [%]</td><td>100.0</td><td>34.2</td><td>100.0</td>" in html
+    assert "<td>success [%]</td><td>100.0 (34.2 to 100.0)</td>" in html

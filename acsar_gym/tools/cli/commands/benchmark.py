@@ -85,7 +85,7 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
         raise ConfigError("--resume: continues in its own folder: leave out --out")
 
     # What is compared.
-    sets = scenes.choose_sets([scenes.find_env(name) for name in what.env], what.sets, what.robots)
+    sets = scenes.choose_sets(what.env, what.sets, what.robots)
     if what.barn is not None:
         sets += scenes.published_sets(sets, what.barn)
     chosen = plan.Plan(

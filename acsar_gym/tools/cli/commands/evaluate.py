@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -190,11 +189,8 @@ def report_run(
     from acsar_gym.tools.evaluation import report  # noqa: PLC0415
 
     tables = []
-    rows = [(link, done.summary)]
     if done.results:
-        tables.append(report.summary_table(title, rows, done.notes))
-        if not math.isnan(done.summary.closest_person):
-            tables.append(report.people_table(rows))
+        tables.append(report.summary_table(title, [(link, done.summary)], done.notes))
     print_results(*tables, json=json, data=done.as_dict())
     if done.ended is not None:
         raise done.ended
