@@ -28,7 +28,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-BUSY_HINT = "stop other programs, or put the control loop ahead of them with --realtime 10"
+BUSY_HINT = "stop other programs, or put this one ahead of them with 'chrt --fifo 10 acsar-gym ...'"
 """What to do on a busy computer."""
 MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
 """What to do about too many open files."""

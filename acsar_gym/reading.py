@@ -157,19 +157,18 @@ def describe_origin() -> str:
     return f"written by acsar-gym {COMMAND.get()}"
 
 
-def check_replaceable(path: Path, mark: str | None = None, *, force: bool = False) -> None:
+def check_replaceable(path: Path, mark: str | None = None) -> None:
     """Check that writing a file destroys nothing that the running command hasn't written.
 
     Args:
         path: The file. An empty file, a device and a pipe are written.
         mark: Words in a file that may be replaced, by default `describe_origin()`. If they are
             empty, no file is replaced.
-        force: Accept any file.
 
     Raises:
         ConfigError: There is another file of this name.
     """
-    if force or not path.is_file() or str(path).startswith(STREAM_PATHS):
+    if not path.is_file() or str(path).startswith(STREAM_PATHS):
         return
     mark = describe_origin() if mark is None else mark
     try:
@@ -181,7 +180,7 @@ def check_replaceable(path: Path, mark: str | None = None, *, force: bool = Fals
         return
 
     reason = f"exists and wasn't written by 'acsar-gym {COMMAND.get()}'" if mark else "exists"
-    raise ConfigError(f"{path}: {reason}: name another file, or replace it with --force")
+    raise ConfigError(f"{path}: {reason}: name another file, or delete it")
 
 
 def _parse_finite(text: str) -> float:

@@ -52,7 +52,7 @@ class StepResult(NamedTuple):
     """What an environment's step, or its reset, returns to a policy."""
 
     step: int
-    """Number of the step; 0 for the reset."""
+    """Number of the step. 0 for the reset."""
     observation: NDArray[np.float32]
     reward: float = math.nan
     terminated: bool = False

@@ -63,7 +63,7 @@ def angle_of(x: float, y: float) -> float:
     """Angle of a vector from the x axis, in [-pi, pi] [rad], as atan2(y, x) to 1e-8.
 
     Branchless so that loops vectorize: the polynomial of Hastings (Approximations for Digital
-    Computers, 1955; Abramowitz and Stegun 4.4.49) for the ratio of the lesser to the greater side.
+    Computers, 1955. Abramowitz and Stegun 4.4.49) for the ratio of the lesser to the greater side.
     """
     ahead = abs(x)
     across = abs(y)

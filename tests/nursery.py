@@ -22,7 +22,7 @@ from serial_tools import TIMEOUT
 SERVER = """
 import importlib, json, os, signal, socket, sys
 
-import acsar_gym.tools.commission.host, acsar_gym.recording, acsar_gym.links.serial
+import acsar_gym.recording, acsar_gym.links.serial
 
 asked = socket.socket(fileno=int(sys.argv[1]))
 for module in sys.argv[2:]:

@@ -99,7 +99,7 @@ def _read_present(path: Path, kind: type[Section]) -> tuple[str, Section]:
     except ConfigError as error:
         raise ConfigError(
             f"{path}: is there, and isn't a robot's file, which would be changed in place "
-            f"({error}): give another name, or replace it with --force"
+            f"({error}): give another name"
         ) from error
     return text, robot
 

@@ -52,7 +52,7 @@ def train_demo_policy(steps: int, out: Path) -> Path:
 
 
 def _drive(policy: OnnxPolicy, link: str, seeds: range, robot: RobotConfig | None) -> EvaluationRun:
-    """Evaluate a policy, however busy the computer is; raises what ended the evaluation early."""
+    """Evaluate a policy, however busy the computer is. Raises what ended the evaluation early."""
     run = runs.evaluate_policy(policy, link, robot, seeds, late_share=1.0)
     if run.ended is not None:
         raise run.ended

@@ -1,4 +1,4 @@
-"""Runs independent jobs in this process, in several processes, or on a Ray cluster.
+"""Run independent jobs in this process, in several processes, or on a Ray cluster.
 
 for number, result in run_jobs(function, jobs, workers=4): ...
 """
@@ -9,9 +9,10 @@ import contextlib
 import logging
 import os
 import signal
-import traceback
+import socket
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
+from functools import partial
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -20,7 +21,7 @@ from acsar_gym.errors import (
     AcsarError,
     ConfigError,
     LinkError,
-    escape_unprintable,
+    format_error,
     require_extra,
     show_value,
 )
@@ -28,14 +29,12 @@ from acsar_gym.errors import (
 J = TypeVar("J")
 R = TypeVar("R")
 Results = Generator[tuple[int, R], None, None]
-Calls = Sequence[tuple[str, Callable[[Any], Any], int, Any]]
-"""Arguments of `_run_job`."""
 MAX_WORKERS = 1024
-"""Most processes of one machine; any number far above its cores will do."""
+"""Any number far above the cores of a machine will do."""
 MAX_RETRIES = 3
 """How often Ray runs a job again after the machine that ran it died."""
 CLUSTER_TIMEOUT = 5.0
-"""How long a cluster may take to answer [s]; Ray itself tries for minutes."""
+"""How long a cluster may take to answer [s]. Ray itself tries for minutes."""
 START_HINT = "start a cluster with 'ray start --head', or run without --address"
 
 
@@ -52,9 +51,9 @@ def run_jobs(
     Args:
         function: Can be imported from where it is defined: no lambda and no closure.
         jobs: Values that can be pickled.
-        workers: Most jobs at a time; None means 1, and with an address as many as the cluster has
+        workers: Most jobs at a time. None means 1, and with an address as many as the cluster has
             CPUs.
-        address: Address of a Ray cluster: "local" starts one here; "auto", "host:port",
+        address: Address of a Ray cluster: "local" starts one here. "auto", "host:port",
             "ray://host:port".
 
     Yields:
@@ -72,40 +71,37 @@ def run_jobs(
     if not numbered or (address is None and workers in (None, 1)):
         return ((number, function(job)) for number, job in numbered)
 
-    calls = [(acsar_gym.__version__, function, *job) for job in numbered]
+    call = partial(_run_job, function, acsar_gym.__version__, address)
     if address is None:
-        return _run_in_processes(calls, min(workers or 1, len(calls)))
-    return _run_on_cluster(calls, workers or len(calls), address)
+        return _run_in_processes(call, numbered, min(workers or 1, len(numbered)))
+    return _run_on_cluster(call, numbered, workers or len(numbered), address)
 
 
-def _run_in_processes(calls: Calls, workers: int) -> Results[Any]:
+def _run_in_processes(call: Any, jobs: Any, workers: int) -> Results[Any]:
     with require_extra("several processes", "scipy"):
         import joblib  # noqa: PLC0415 - optional
         from joblib.externals.loky.process_executor import BrokenProcessPool  # noqa: PLC0415
 
     with joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-        with _ignored_interrupts():  # which the processes inherit
-            results = parallel(joblib.delayed(_run_job)(*call) for call in calls)
-
+        results = parallel(joblib.delayed(call)(*job) for job in jobs)
     with warnings.catch_warnings(), contextlib.closing(results):
-        warnings.simplefilter("ignore")  # of jobs that are ended
+        warnings.simplefilter("ignore")  # joblib's, about jobs that are ended
         try:
             yield from results
         except BrokenProcessPool as error:
             raise _explain_death(error) from error
 
 
-def _run_on_cluster(calls: Calls, workers: int, address: str) -> Results[Any]:
+def _run_on_cluster(call: Any, jobs: Any, workers: int, address: str) -> Results[Any]:
     with connect_cluster(address, workers) as ray:
-        remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(_run_job)
-        waiting = iter(calls)
-        running = [remote.remote(*call) for call in islice(waiting, workers)]
-
+        remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(call.func)
+        waiting = (remote.remote(*call.args, *job) for job in jobs)
+        running = list(islice(waiting, workers))
         try:
             while running:
                 (done,), running = ray.wait(running, num_returns=1)
-                running += [remote.remote(*call) for call in islice(waiting, 1)]
+                running += islice(waiting, 1)
                 yield ray.get(done)
         except ray.exceptions.RayTaskError as error:
             raise error.cause from error
@@ -119,56 +115,39 @@ def _run_on_cluster(calls: Calls, workers: int, address: str) -> Results[Any]:
                     ray.wait(running, num_returns=len(running), timeout=CLUSTER_TIMEOUT)
 
 
-def _run_job(version: str, function: Callable[[Any], Any], number: int, job: Any) -> Any:
-    """Run a job in another process; every error becomes one that can be pickled."""
+def _run_job(function: Any, version: str, address: str | None, number: int, job: Any) -> Any:
+    """Run a job in another process. Every error becomes an error that can be pickled."""
+    if address is None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the first process, too
+    elif version != acsar_gym.__version__:
+        found = (
+            f"a machine of the cluster has acsar_gym {acsar_gym.__version__}, this has {version}"
+        )
+        raise LinkError(found, "install the same version everywhere")
     if number:  # the process of the first job reports already that it compiles
         logging.getLogger("acsar_gym.jit").setLevel(logging.ERROR)
-    if version != acsar_gym.__version__:
-        versions = f"has acsar_gym {acsar_gym.__version__}, this machine {version}"
-        fix = "install the same version everywhere"
-        raise LinkError(f"a machine of the cluster {versions}", fix)
-
     try:
         return number, function(job)
     except AcsarError:
         raise
-    except Exception as error:  # noqa: BLE001 - the message names where it was raised
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        reason = f"{type(error).__name__}: {escape_unprintable(str(error))}"
-        place = f"({frame.filename}, line {frame.lineno})"
-        raise AcsarError(f"job {show_value(job)}: {reason} {place}") from None
+    except Exception as error:  # noqa: BLE001 - reported with the job
+        reason = format_error(error)
+        raise AcsarError(f"job {show_value(job)}: {reason}; --workers 1 shows where") from None
 
 
 def _explain_death(error: BaseException) -> AcsarError:
-    return AcsarError(
-        f"a process that ran a job ended ({type(error).__name__}): run it with --workers 1 to see "
-        "why"
-    )
-
-
-@contextlib.contextmanager
-def _ignored_interrupts() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C: it reaches this process too, which ends them."""
-    try:
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
+    reason = f"a process that ran a job ended ({type(error).__name__})"
+    return AcsarError(f"{reason}: run it with --workers 1 to see why")
 
 
 @contextlib.contextmanager
 def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
-    """Connect to a cluster, or start one of `workers` CPUs here; yields the module `ray`.
+    """Connect to a cluster, or start one of `workers` CPUs here. Yields the module `ray`.
 
     A connection that exists already is used and kept. Addresses and errors as for `run_jobs`.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     with require_extra("--address", "scale"):
-        import grpc  # noqa: PLC0415 - optional
         import ray  # noqa: PLC0415 - optional
     if ray.is_initialized():
         yield ray
@@ -178,39 +157,26 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
     if address == "local":
         cores = min(workers or MAX_WORKERS, os.cpu_count() or 1)
         options |= {"num_cpus": cores, "include_dashboard": False}
-    else:
-        _check_address(grpc, address)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            ray.init(address=address, **options)
+        _check_address(address)
+        ray.init(address=address, **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0].partition(". ")[0]
-        raise LinkError(
-            f"--address {show_value(address)}: {escape_unprintable(reason, 300)}", START_HINT
-        ) from error
+        found = f"--address {show_value(address)}: {format_error(error)}"
+        raise LinkError(found, START_HINT) from error
     try:
         yield ray
     finally:
         ray.shutdown()
 
 
-def _check_address(grpc: Any, address: str) -> None:
-    """Check that something like Ray answers soon."""
-    place = os.environ.get("RAY_ADDRESS", "auto") if address == "auto" else address
-    if place == "auto":
+def _check_address(address: str) -> None:
+    """Raise OSError unless something answers soon."""
+    place = os.environ.get("RAY_ADDRESS", address) if address == "auto" else address
+    if place in ("auto", "local"):
         return  # Ray looks for a cluster of this machine, and soon reports that there is none
-    place = place.removeprefix("ray://")
-    host, _, port = place.rpartition(":")
+    host, _, port = place.removeprefix("ray://").rpartition(":")
     if not host or not port.isdecimal():
         raise ConfigError(
             f"--address {show_value(address)}: must be local, auto, host:port or ray://host:port"
         )
-
-    with grpc.insecure_channel(place) as channel:
-        try:
-            grpc.channel_ready_future(channel).result(timeout=CLUSTER_TIMEOUT)
-        except grpc.FutureTimeoutError as error:
-            raise LinkError(
-                f"--address {show_value(address)}: doesn't answer", START_HINT
-            ) from error
+    socket.create_connection((host, int(port)), CLUSTER_TIMEOUT).close()

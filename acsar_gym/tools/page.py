@@ -18,7 +18,7 @@ from acsar_gym.errors import require_extra
 
 @dataclass(frozen=True)
 class Table:
-    """Cells of text; the first column is aligned left, the others right."""
+    """Cells of text. The first column is aligned left, the others right."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -36,7 +36,7 @@ class Section:
 
 
 def check_report_extra() -> None:
-    """Check before a long run that a page can be made; MissingExtraError if not."""
+    """Check before a long run that a page can be made. MissingExtraError if not."""
     with require_extra("an HTML page", "report"):
         import jinja2  # noqa: F401, PLC0415 - optional
         import plotly.offline  # noqa: F401, PLC0415 - optional
@@ -46,9 +46,9 @@ def write_page(path: Path, title: str, sections: Sequence[Section]) -> None:
     """Write results as one HTML file.
 
     Args:
-        path: file to write; `reading.check_replaceable` knows it again.
-        title: of the page.
-        sections: from top to bottom.
+        path: File to write. `reading.check_replaceable` knows it again.
+        title: Title of the page.
+        sections: From top to bottom.
 
     Raises:
         ConfigError: the file can't be written.

@@ -180,8 +180,8 @@ def _choose_ends(
     names = [name for name, end in (("start", start), ("goal", goal)) if end is None]
     options = " ".join("--start X,Y,THETA" if name == "start" else "--goal X,Y" for name in names)
     raise WorldError(
-        f"has no {' and no '.join(names)}: add {options} [m, rad] in its frame, or lines like "
-        "'start: {x: 0.0, y: 0.0}' in a YAML"
+        f"has no {' and no '.join(names)}: run 'acsar-gym worlds convert FILE OUT.yaml {options}' "
+        "[m, rad], or add lines like 'start: {x: 0.0, y: 0.0}' to its YAML"
     )
 
 

@@ -110,7 +110,7 @@ def start_policy(
     start_program: StartProgram, client: Client, namespace: str, robot_file: Path
 ) -> StartPolicy:
     def start(*options: object, robot: Path = robot_file) -> PolicyTest:
-        options = ("--robot", robot, "--namespace", namespace, "--late-share", 1, *options)
+        options = ("--robot", robot, "--namespace", namespace, *options)
         program = start_program("-m", "acsar_gym", "ros", "policy", *options)
         return PolicyTest(client, program)
 
@@ -133,7 +133,7 @@ def test_policy_drives_to_goals_and_shows_them(driver: Program, start_policy: St
 
 
 def test_policy_refuses_goals_with_a_line(driver: Program, start_policy: StartPolicy) -> None:
-    policy = start_policy("--once")
+    policy = start_policy("--episodes", 1)
     wrong = {
         (math.nan, 0.0, "odom"): "must be finite numbers",
         (50.0, 0.0, "odom"): "is 50 m away: must be 0.5 to 3 m",
@@ -188,7 +188,7 @@ def test_policy_follows_a_goal_in_the_map(
         TFMessage(transforms=[moved])
     )
 
-    policy = start_policy("--once", robot=tmp_path / "foreign.yaml")
+    policy = start_policy("--episodes", 1, robot=tmp_path / "foreign.yaml")
     policy.give(4.0, 2.0, "map")  # 2 m ahead of the robot
     client.wait(lambda: policy.place[0] > 0.3, "a robot that drives")
     moved.transform.translation.y = 0.6
@@ -272,7 +272,7 @@ def test_evaluate_puts_a_simulated_robot_into_the_scenes(
     over_ros = ("ros2", "--ros-args", "-r", f"__ns:={namespace}")
     for link in (over_ros, ("planar",)):
         out = tmp_path / f"{link[0]}.json"
-        options = ("--episodes", 2, "--robot", robot_file, "--json", out, "--late-share", 1)
+        options = ("--episodes", 2, "--robot", robot_file, "--json", out)
         worlds = ("--worlds", "open:test")
         command = ("evaluate", "--policy", "obstacle_goal", *worlds, *options, "--link", *link)
         run = start_program("-m", "acsar_gym", *command)

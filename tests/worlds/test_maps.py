@@ -137,7 +137,7 @@ def test_every_kind_of_picture_is_read(data: bytes, tmp_path: Path) -> None:
         ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
         (
             {"start": None},
-            "has no start: add --start X,Y,THETA [m, rad] in its frame, or lines like 'start: {x",
+            "has no start: run 'acsar-gym worlds convert FILE OUT.yaml --start X,Y,THETA' [m, rad]",
         ),
     ],
 )

@@ -218,9 +218,11 @@ def test_only_barns_own_worlds_have_its_start_and_goal(tmp_path: Path) -> None:
     assert world.path is None, "it leads elsewhere"
 
     path.write_bytes(sdf_of(*CORRIDOR[1:]))
-    with pytest.raises(WorldError, match="has no start and no goal: add --start X,Y,THETA --goal"):
+    with pytest.raises(
+        WorldError, match=r"has no start and no goal: run .*OUT.yaml --start X,Y,THETA --goal"
+    ):
         files.load_world(path)
-    with pytest.raises(WorldError, match=r"has no goal: add --goal X,Y \[m, rad\] in"):
+    with pytest.raises(WorldError, match=r"has no goal: run .*OUT.yaml --goal X,Y' \[m, rad\]"):
         files.load_world(path, Placement(start=(1.0, 2.0)))
     world = files.load_world(path, Placement(start=(1.0, 2.0, 0.5), goal="-1,3.5"))
     assert (world.start, world.goal) == (Region(1.0, 2.0, 0.0, 0.5), Region(-1.0, 3.5))

@@ -1,6 +1,6 @@
 """Policies that nobody trained, from the textbooks: floors that a learned policy must beat.
 
-`acsar-gym evaluate --policy dwa --env obstacle_goal`; docs/baselines.md describes each.
+`acsar-gym evaluate --policy dwa --env obstacle_goal`. docs/baselines.md describes each.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ AMONG_MOVERS = ("dwa_movers", "orca")
 
 
 def is_baseline(policy: str) -> bool:
-    """Whether a policy argument names a baseline; files and packaged policies come first."""
+    """Whether a policy argument names a baseline. Files and packaged policies come first."""
     packaged = AGENTS / "policies" / f"{policy}.onnx"
     return policy in BASELINES and not Path(policy).exists() and not packaged.exists()
 
@@ -46,8 +46,8 @@ def load_baseline(name: str, env_id: str) -> BaselinePolicy:
     """Make a baseline.
 
     Args:
-        name: one of `BASELINES`.
-        env_id: id of the env that it will drive.
+        name: One of `BASELINES`.
+        env_id: Id of the env that it will drive.
 
     Raises:
         PolicyError: no env is named.

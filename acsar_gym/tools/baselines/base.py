@@ -7,10 +7,7 @@ other numbers. `constants.yaml` has those that a search found for the presets.
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import hashlib
-import inspect
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -23,12 +20,10 @@ from numpy.typing import NDArray
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig, footprint
 from acsar_gym.envs.ids import strip_module
-from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import PolicyError
+from acsar_gym.resources import hash_modules
 from acsar_gym.safety.rules import read_limits
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies.policy import DecodedObservation, FilePolicy, PolicyContext
-from acsar_gym.truth import GroundTruth
 
 CONSTANTS_FILE = Path(__file__).with_name("constants.yaml")
 UNLIMITED = 1e3
@@ -101,51 +96,20 @@ def find_constants(planner: str, env_id: str, config: RobotConfig) -> dict[str, 
     return {}
 
 
-class Privileged(FilePolicy):
-    """Mixed into baselines that know what only a simulator does."""
-
-    privileged = True
-    env: RobotEnv
-    """That it drives, see `watch`."""
-
-    def watch(self, env: RobotEnv) -> None:
-        """Take the env whose truth it knows.
-
-        Args:
-            env: that it will drive.
-
-        Raises:
-            PolicyError: nobody knows the truth there.
-        """
-        if env.robot.link.truth is None:
-            raise PolicyError(
-                f"{self.path}: knows what only a simulator does, and drives no real robot: use "
-                "--link planar, or another policy"
-            )
-        self.env = env
-
-    @property
-    def truth(self) -> GroundTruth:
-        """What the simulator knows."""
-        truth = self.env.robot.link.truth
-        assert truth is not None  # noqa: S101 - `watch` has seen it
-        return truth
-
-
 class BaselinePolicy(FilePolicy):
     """Base class of the baselines: they decide from the same observations as a trained policy.
 
     Beside them they know what any deployed policy may: the robot's config and map, the layout and
     scales of the task, and its period (`setting`). A subclass of another package is named with its
-    module, as in `--policy mine.module:Planner`; it has `act`, and `reset` where it remembers
+    module, as in `--policy mine.module:Planner`. It has `act`, and `reset` if it remembers
     something.
 
     Args:
-        env_id: id of the env that it drives.
+        env_id: Id of the env that it drives.
     """
 
     name: ClassVar[str]
-    """What messages call it, and `--policy` those of this package; by default that of the class."""
+    """Its name in messages, and for `--policy`. By default the name of the class."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of the task's numbers that it needs."""
     what: ClassVar[tuple[str, str]] = ("a goal", "point_goal")
@@ -153,7 +117,7 @@ class BaselinePolicy(FilePolicy):
     lidar: ClassVar[bool] = False
     """Whether it needs a LiDAR."""
     constants_type: ClassVar[type | None] = None
-    """Dataclass of its constants; None where it has none."""
+    """Dataclass of its constants. None if it has none."""
     env_named = True
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -164,13 +128,10 @@ class BaselinePolicy(FilePolicy):
     def __init__(self, env_id: str) -> None:
         self.path = Path(self.name)
         self.env_id = env_id
-        with contextlib.suppress(TypeError, OSError):  # there is no file in a notebook
-            source = Path(inspect.getsourcefile(type(self)) or "")
-            content = source.read_bytes() + CONSTANTS_FILE.read_bytes()
-            self.sha256 = hashlib.sha256(content).hexdigest()
+        self.sha256 = hash_modules(type(self).__module__)
 
     def bind(self, setting: PolicyContext) -> None:
-        """Check the setting of the env, and prepare for it; see `equip`.
+        """Check the setting of the env, and prepare for it. See `equip`.
 
         Raises:
             PolicyError: the task doesn't observe what the policy needs.
@@ -181,10 +142,10 @@ class BaselinePolicy(FilePolicy):
         self.equip(setting)
 
     def equip(self, setting: PolicyContext) -> None:
-        """Prepare for a robot and a task; subclasses derive their own numbers here.
+        """Prepare for a robot and a task. Subclasses derive their own numbers here.
 
         Args:
-            setting: of the env.
+            setting: What the policy may know of the env.
         """
         self.setting = setting
         self.units = RobotUnits.of(setting.config, setting.period)
@@ -197,10 +158,10 @@ class BaselinePolicy(FilePolicy):
         """Choose the velocity command of the next step.
 
         Args:
-            seen: the observation, in SI units.
+            seen: The observation, in SI units.
 
         Returns:
-            Linear [m/s] and angular velocity [rad/s]; `__call__` clips them.
+            Linear [m/s] and angular velocity [rad/s]. `__call__` clips them.
         """
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:

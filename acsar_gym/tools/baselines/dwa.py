@@ -61,7 +61,7 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class DwaConstants:
-    """Constants of the dynamic window approach; `constants.yaml` has those of the presets."""
+    """Constants of the dynamic window approach. `constants.yaml` has those of the presets."""
 
     reverse_share: float = 0.4
     """Greatest speed backwards, out of dead ends [top speed]."""
@@ -87,7 +87,7 @@ class DwaConstants:
 
 @dataclass(frozen=True)
 class DwaMoversConstants(DwaConstants):
-    """As `DwaConstants`; among movers it looks farther ahead, and tries more velocities."""
+    """As `DwaConstants`. Among movers it looks farther ahead, and tries more velocities."""
 
     arc_time: float = 2.5
     window_periods: float = 4.0
@@ -104,11 +104,11 @@ class Surroundings(NamedTuple):
     outer: float
     """Radius of the disc around the footprint [m]."""
     way: Floats
-    """(corners, 4): see `MapSensor.way_ahead`; the last one is the goal."""
+    """(corners, 4): see `MapSensor.way_ahead`. The last one is the goal."""
     radius: float
     """Of the goal [m]."""
     movers: Floats
-    """(m, 5): x, y [m], their rates [m/s], and radius [m]; they keep their velocities."""
+    """(m, 5): x, y [m], their rates [m/s], and radius [m]. They keep their velocities."""
 
 
 class ArcModel(NamedTuple):
@@ -175,7 +175,7 @@ class Dwa(MappedPolicy):
         )
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
-        """Choose the best admissible velocity [m/s, rad/s]; stops if there is none."""
+        """Choose the best admissible velocity [m/s, rad/s]. Stops if there is none."""
         config = self.setting.config
         window = self._window(config.max_linear, config.max_angular)
         ahead = config.max_linear * self.constants.arc_time + self._model.nose
@@ -212,7 +212,7 @@ class Dwa(MappedPolicy):
     def _align(
         self, pose: Pose, motion: Motion, around: Surroundings
     ) -> tuple[float, float] | None:
-        """Turn towards the way, or back off if there is no room; None once it lies ahead."""
+        """Turn towards the way, or back off if there is no room. None once it lies ahead."""
         x, y = self.carrot(pose, 1.7 * self.outer)
         bearing = math.atan2(y, x)
         if abs(bearing) < ALIGNED_BEARING:
@@ -235,7 +235,7 @@ class Dwa(MappedPolicy):
         return window
 
     def _escape(self, around: Surroundings, motion: Motion) -> tuple[float, float]:
-        """Back off slowly, or turn, to where there is more clearance; nothing is admissible."""
+        """Back off slowly, or turn, to where there is more clearance. Nothing is admissible."""
         units = self.units
         most_free = -1.0
         chosen = (0.0, 0.0)
@@ -292,7 +292,7 @@ def advance_arc(
 
 @loop
 def score_window(window: Floats, motion: Motion, model: ArcModel, around: Surroundings) -> Floats:
-    """Score velocities; less is better.
+    """Score velocities. Less is better.
 
     Returns:
         (n,): Scores in equivalent metres, infinite if a velocity isn't admissible.

@@ -39,11 +39,11 @@ def solve_programme(planes: Floats, hard: int, x: float, y: float) -> tuple[floa
         planes: (n, 3), the first BOX of which bound the variables.
         hard: Number of half planes, from the first on, that hold in any case, as far as they leave
             something.
-        x: Of the wanted point.
-        y: Of the wanted point.
+        x: Coordinate of the wanted point.
+        y: Coordinate of the wanted point.
 
     Returns:
-        The point; if there is none, the point within the hard half planes whose distance from the
+        The point. If there is none, the point within the hard half planes whose distance from the
         worst of the others is least.
     """
     best_x, best_y, met = find_nearest(planes, len(planes), x, y, False)

@@ -60,7 +60,7 @@ def find_carrot(seen: DecodedObservation, lookahead: float) -> tuple[float, floa
     """The first point of the path ahead that is `lookahead` away from the robot [m].
 
     Returns:
-        The point in the base frame; the path's last observed one where all are nearer.
+        The point in the base frame. The path's last observed point if all are nearer.
     """
     error = seen.heading_error
     offset = seen.cross_track

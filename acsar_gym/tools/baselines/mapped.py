@@ -17,7 +17,6 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
-from acsar_gym.truth import GroundTruth
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
@@ -34,7 +33,7 @@ TRACK_MARGIN = 0.15
 
 @loop
 def polygon_distance(x: float, y: float, sides: Floats) -> float:
-    """Distance of a point from a convex polygon, (sides, 4); 0 inside [m]."""
+    """Distance of a point from a convex polygon, (sides, 4). 0 inside [m]."""
     nearest = np.inf
     is_inside = True
     for n in range(len(sides)):
@@ -67,7 +66,7 @@ def points_clearance(
         limit: Points that are farther away don't count [m].
 
     Returns:
-        The distance, at most `limit`; 0 if a point lies within the footprint [m].
+        The distance, at most `limit`. 0 if a point lies within the footprint [m].
     """
     x, y, theta = pose
     cos = math.cos(theta)
@@ -94,19 +93,6 @@ def to_base(pose: Pose, places: Floats) -> Floats:
 def cells_of(places: Floats, side: float) -> NDArray[np.int64]:
     """(n, 2): the cells in which places of the odometry frame lie, as `MapSensor.cells_met`."""
     return np.floor(places / side + CELL_SHIFT).astype(np.int64)
-
-
-def true_tracks(truth: GroundTruth, pose: Pose) -> Floats:
-    """(m, 5): as `MappedPolicy.tracks`, of a robot whose pose by odometry is `pose`."""
-    if truth.crowd is None:
-        return NO_TRACKS
-    states = truth.crowd.states
-    turned = truth.pose[2] - pose[2]
-    cos = math.cos(turned)
-    sin = math.sin(turned)
-    back = np.array([[cos, -sin], [sin, cos]])
-    places = pose[:2] + (states[:, X:RATE_X] - truth.pose[:2]) @ back
-    return np.column_stack([places, states[:, RATE_X:RADIUS] @ back, truth.crowd.radii])
 
 
 class MappedPolicy(BaselinePolicy):
@@ -199,9 +185,5 @@ class MappedPolicy(BaselinePolicy):
 
     def carrot(self, pose: Pose, lookahead: float) -> tuple[float, float]:
         """The point at a distance along the way [m], in the base frame [m]."""
-        x, y = self.map.point_ahead(lookahead)
-        dx = x - pose[0]
-        dy = y - pose[1]
-        cos = math.cos(pose[2])
-        sin = math.sin(pose[2])
-        return dx * cos + dy * sin, dy * cos - dx * sin
+        ((x, y),) = to_base(pose, np.array([self.map.point_ahead(lookahead)])).tolist()
+        return x, y

@@ -1,6 +1,6 @@
 """What a ROS 2 user has: a costmap, a global plan on it, and regulated pure pursuit.
 
-The plan is the way of the robot's map; the tracker is Macenski, Singh, Martin & Gines, "Regulated
+The plan is the way of the robot's map. The tracker is Macenski, Singh, Martin & Gines, "Regulated
 pure pursuit for robot path tracking", Autonomous Robots 47 (2023): pure pursuit whose speed is
 regulated by curvature and by the nearness of obstacles, which turns on the spot where the path
 begins elsewhere, and stops before a predicted collision.
@@ -18,7 +18,7 @@ from acsar_gym.tools.policies.policy import DecodedObservation
 
 @dataclass(frozen=True)
 class NavfnConstants:
-    """Constants of regulated pure pursuit; `constants.yaml` has those of the presets."""
+    """Constants of regulated pure pursuit. `constants.yaml` has those of the presets."""
 
     carrot_time: float = 0.9
     """The carrot is this much time ahead at the present speed [s]."""

@@ -4,7 +4,7 @@ Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 
 forbids the velocities with which the robot would meet it within a horizon if it kept its own. The
 robot keeps to a half plane without them, and chooses the velocity within all half planes that is
 nearest to the one along the way of its map. What stands forbids velocities with which the nearest
-place of the exact footprint would reach it within a shorter horizon; these half planes hold in any
+place of the exact footprint would reach it within a shorter horizon. These half planes hold in any
 case.
 
 A robot that can't move sideways turns towards that velocity within a disc that has a margin for the
@@ -21,11 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from acsar_gym.envs.robot_env import RobotEnv
+from acsar_gym.errors import PolicyError
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
-from acsar_gym.tools.baselines.base import Privileged
 from acsar_gym.tools.baselines.half_planes import BOX, A, B, C, make_box, solve_programme
 from acsar_gym.tools.baselines.mapped import (
+    NO_TRACKS,
     RADIUS,
     RATE_X,
     RATE_Y,
@@ -34,9 +36,9 @@ from acsar_gym.tools.baselines.mapped import (
     X,
     Y,
     to_base,
-    true_tracks,
 )
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
+from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.geometry import Surroundings, footprint_gap, make_surroundings
 
 LAG_STEPS = 4
@@ -47,7 +49,7 @@ ACROSS = 0.05
 
 @dataclass(frozen=True)
 class OrcaConstants:
-    """Constants of ORCA; `constants.yaml` has those of the presets."""
+    """Constants of ORCA. `constants.yaml` has those of the presets."""
 
     horizon: float = 2.0
     """Movers that would be met later don't count [s]."""
@@ -149,15 +151,47 @@ class Orca(MappedPolicy):
         return speed, turn
 
 
-class OrcaTrue(Privileged, Orca):
+class OrcaTrue(Orca):
     """As `Orca`, with the true places and velocities."""
 
     name = "orca_true"
+    privileged = True
     follows_movers = False
+    env: RobotEnv
+    """Env that it drives, see `watch`."""
+
+    def watch(self, env: RobotEnv) -> None:
+        """Take the env whose truth it knows.
+
+        Args:
+            env: Env that it will drive.
+
+        Raises:
+            PolicyError: The env isn't simulated.
+        """
+        if env.robot.link.truth is None:
+            raise PolicyError(
+                f"{self.path}: knows what only a simulator does, and drives no real robot: use "
+                "--link planar, or another policy"
+            )
+        self.env = env
 
     def tracks(self) -> Floats:
         """As `MappedPolicy.tracks`, without an error."""
-        return true_tracks(self.truth, self.map.pose)
+        return true_tracks(self.env.robot.link.truth or GroundTruth(), self.map.pose)
+
+
+def true_tracks(truth: GroundTruth, pose: Pose) -> Floats:
+    """(m, 5): as `MappedPolicy.tracks`, of a robot whose pose by odometry is `pose`."""
+    if truth.crowd is None:
+        return NO_TRACKS
+    states = truth.crowd.states
+    turned = truth.pose[2] - pose[2]
+    cos = math.cos(turned)
+    sin = math.sin(turned)
+    back = np.array([[cos, -sin], [sin, cos]])
+    places = pose[:2] + (states[:, X:RATE_X] - truth.pose[:2]) @ back
+    return np.column_stack([places, states[:, RATE_X:RADIUS] @ back, truth.crowd.radii])
 
 
 @loop
@@ -186,17 +220,17 @@ def predict_pose(
 def list_planes(
     speed: float, points: Floats, movers: Floats, model: VelocityModel, footprint: Surroundings
 ) -> tuple[Floats, int]:
-    """List the half planes of velocities that obstacles leave; everything in the base frame.
+    """List the half planes of velocities that obstacles leave, in the base frame.
 
     Args:
-        speed: of the robot [m/s].
+        speed: Speed of the robot [m/s].
         points: (n, 2): what stands [m].
         movers: (m, 5): x, y [m], their rates [m/s], and radius [m].
-        model: the constants.
-        footprint: of the robot.
+        model: The constants.
+        footprint: Footprint of the robot.
 
     Returns:
-        (BOX + n + m, 3): the half planes, the first BOX of which are still to be written; and n.
+        (BOX + n + m, 3): the half planes, the first BOX of which are still to be written, and n.
     """
     planes = np.zeros((BOX + len(points) + len(movers), 3))
     for n in range(len(points)):
@@ -257,7 +291,7 @@ def forbid_meeting(plane: Floats, mover: Floats, speed: float, model: VelocityMo
 
 @loop
 def planes_along(planes: Floats, heading: float) -> Floats:
-    """The half planes as limits of the speed along a heading; the first BOX stay empty."""
+    """The half planes as limits of the speed along a heading. The first BOX stay empty."""
     cos = math.cos(heading)
     sin = math.sin(heading)
     limits = np.zeros_like(planes)

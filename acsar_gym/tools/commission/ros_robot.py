@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from statistics import median
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, EmergencyStopError, LinkError
+from acsar_gym.errors import BUSY_HINT, ConfigError, EmergencyStopError, LinkError
 from acsar_gym.links.ros2 import Ros2Link
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
@@ -122,5 +122,5 @@ def _report_drive(link: Ros2Link, robot: Robot, stamps: Sequence[float]) -> Iter
             late.late_share > MAX_LATE_SHARE,
             "late ticks",
             f"{late.late_ticks} of {late.ticks}, worst {1e3 * late.worst:.1f} ms",
-            "end other programs, or drive with --realtime",
+            BUSY_HINT,
         )

@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
-from acsar_gym.tools.baselines.mapped import true_tracks
-from acsar_gym.tools.baselines.orca import VelocityModel, forbid_meeting, list_planes
+from acsar_gym.tools.baselines.orca import (
+    VelocityModel,
+    forbid_meeting,
+    list_planes,
+    true_tracks,
+)
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds.crowd import Crowd
 from acsar_gym.worlds.geometry import make_surroundings

@@ -1,36 +1,152 @@
-"""`acsar-gym benchmark`: what it writes, and what it refuses to go on with."""
+"""`acsar-gym benchmark`: what it writes, for tasks of this package and of users."""
 
 from __future__ import annotations
 
 import json
+import sys
+import uuid
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from cli_tools import Call
 
-SMALL = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar", "--scenes", "2")
+from acsar_gym.registration import SCENE_CHOICES
+from acsar_gym.tools.benchmark.scenes import find_sets
+
+TASK = """
+import math
+from dataclasses import dataclass
+import acsar_gym
+from acsar_gym import Outcome, Task
+
+@dataclass(frozen=True)
+class Park(Task):
+    observation = {"ahead": (-30, 30), "left": (-30, 30)}
+    memory = {"stars": 0.0}
+    WORLDS
+
+    def outcome(self, state, memory):
+        memory.stars = 5.0 - 0.1 * state.time
+        near = math.dist(state.goal, state.pose[:2]) < 0.3
+        return Outcome.SUCCESS if near else Outcome.GOING
+
+    def reward(self, state, memory, outcome):
+        return 0.0
+
+    def observe(self, state, memory):
+        x, y, theta = state.pose
+        dx, dy, c, s = state.goal[0] - x, state.goal[1] - y, math.cos(theta), math.sin(theta)
+        return dx * c + dy * s, dy * c - dx * s
+
+class Planner:
+    def bind(self, setting):
+        self.most = setting.config.max_linear
+
+    def __call__(self, seen):
+        return min(1.0, max(0.0, seen[0]) / self.most), math.atan2(seen[1], seen[0])
+
+acsar_gym.register("NAME/Park-v0", task=Park, max_episode_steps=150 OPTIONS)
+"""
+
+
+def test_benchmark_writes_json_and_a_page(call: Call, tmp_path: Path) -> None:
+    small = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar", "--scenes", "2")
+    agents = ("--agents", "packaged", "turn_drive")
+    json_file = tmp_path / "result.json"
+    page_file = tmp_path / "page.html"
+    files = ("--out", tmp_path / "run", "--json", json_file, "--html", page_file)
+    code, out, error = call("benchmark", *small, *agents, *files)
+    assert code == 0, error
+    assert "packaged" in out
+
+    result = json.loads((tmp_path / "run" / "benchmark.json").read_text())
+    assert result == json.loads(json_file.read_text())
+    rates = {row["agent"]: row["success_rate"] for row in result["rows"]}
+    assert rates == {"packaged": 1.0, "turn_drive": 1.0}
+    page = page_file.read_text()
+    assert "turn_drive" in page
+    assert str(tmp_path) not in page
 
 
 @pytest.fixture
-def ran(call: Call, tmp_path: Path) -> Path:
-    """The folder of a small benchmark."""
-    out = tmp_path / "run"
-    code, said, error = call(
-        *("benchmark", *SMALL, "--agents", "packaged", "turn_drive", "--out", out),
-        *("--json", tmp_path / "told.json", "--html", tmp_path / "page.html"),
-    )
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The name of a new module in the current folder, which is a namespace as well."""
+    monkeypatch.chdir(tmp_path)
+    name = f"mine_{uuid.uuid4().hex}"
+    yield name
+    sys.modules.pop(name, None)
+    SCENE_CHOICES.pop(f"{name}/Park-v0", None)
+
+
+def write_task(module: str, worlds: str = "", options: str = "") -> str:
+    """Write the module. Returns the id of its task."""
+    text = TASK.replace("WORLDS", worlds).replace("OPTIONS", options).replace("NAME", module)
+    Path(f"{module}.py").write_text(text)
+    return f"{module}:{module}/Park-v0"
+
+
+@pytest.mark.parametrize(
+    ("worlds", "options", "expected"),
+    [
+        ("", "", {"test": ("acsar", "", 2**33, "success")}),
+        ('worlds = "rooms:train"', "", {"test": ("acsar", "rooms", 100_000, "success")}),
+        (
+            "",
+            ", scenes={'a': {'robots': ['jackal'], 'score': 'stars'}, 'b': {'worlds': 'rooms'}}",
+            {"a": ("jackal", "", 2**33, "stars"), "b": ("acsar", "rooms", 100_000, "success")},
+        ),
+    ],
+)
+def test_find_sets_of_a_users_task(
+    worlds: str, options: str, expected: dict[str, tuple[object, ...]], module: str
+) -> None:
+    sets = find_sets(write_task(module, worlds, options))
+    assert {
+        scenes.name: (scenes.robot, scenes.source, scenes.numbers[0], scenes.score)
+        for scenes in sets
+    } == expected
+    assert all(scenes.id == f"{module}/Park-v0" for scenes in sets)
+
+
+def test_benchmark_of_a_users_task_and_resume_after_a_change(
+    module: str, call: Call, tmp_path: Path
+) -> None:
+    scenes = ", scenes={'fast': {'worlds': '', 'robots': ['jackal'], 'score': 'stars'}}"
+    env_id = write_task(module, "", scenes)
+    small = ("benchmark", "--env", env_id, "--agents", f"{module}:Planner", "--links", "planar")
+    code, _, error = call(*small, "--scenes", "2", "--out", tmp_path / "run")
     assert code == 0, error
-    assert "packaged" in said
-    return out
+    (row,) = json.loads((tmp_path / "run" / "benchmark.json").read_text())["rows"]
+    assert (row["id"], row["scenes"], row["success_rate"]) == (f"{module}/Park-v0", "fast", 1.0)
+    assert 4.0 < row["score"] < 5.0
+
+    source = Path(f"{module}.py").read_text()
+    Path(f"{module}.py").write_text(source.replace("0.3", "0.2"))
+    code, _, error = call(*small, "--scenes", "2", "--resume", tmp_path / "run")
+    assert code == 2
+    assert "has changed since the benchmark was started" in error
 
 
-def test_it_writes_json_and_a_page(ran: Path) -> None:
-    told = json.loads((ran / "benchmark.json").read_text())
-    assert told == json.loads((ran.parent / "told.json").read_text())
-    assert {row["agent"]: row["success_rate"] for row in told["rows"]} == {
-        "packaged": 1.0,
-        "turn_drive": 1.0,
-    }
-    page = (ran.parent / "page.html").read_text()
-    assert "turn_drive" in page
-    assert str(ran.parent) not in page
+@pytest.mark.parametrize(
+    ("options", "agent", "code", "message"),
+    [
+        (", scenes={'a': {'score': 'star'}}", "Planner", 2, "'star'; did you mean 'stars'?"),
+        (
+            ", scenes={'a': {'score': 'completion_time'}}",
+            "Planner",
+            2,
+            "the task has no method shortest_path()",
+        ),
+        ("", "turn_drive", 0, "Park-v0 doesn't observe"),
+    ],
+)
+def test_benchmark_explains_scores_and_agents_that_dont_fit(
+    options: str, agent: str, code: int, message: str, module: str, call: Call
+) -> None:
+    name = f"{module}:{agent}" if agent == "Planner" else agent
+    small = ("--links", "planar", "--scenes", "1", "--out", "run")
+    env_id = write_task(module, "", options)
+    status, out, error = call("benchmark", "--env", env_id, "--agents", name, *small)
+    assert status == code
+    assert message in " ".join((out + error).split())

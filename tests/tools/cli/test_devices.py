@@ -17,84 +17,86 @@ from acsar_gym.worlds import Pose
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
-
 ODD = "at-comma unpadded swapped-motors reversed-encoder=b feedback-rate=50 command-timeout=0.3"
 """A board that differs in everything."""
+SPEED = 0.3
+RADIUS = 0.375
+TURN = 1.4
+"""The curve that is driven [m/s, m, rad]."""
+MAX_TICKS = 2000
 
 
-SPEED, RADIUS, TURN = 0.3, 0.375, 1.4
-"""Of the curve: speed [m/s], radius [m], and how far it turns [rad]."""
-MOST_TICKS = 2000
-
-
-def driven(emulated: Emulated, config: RobotConfig) -> tuple[Pose, Pose]:
-    """Where a robot is after a curve to the left, really and by odometry, from where it began."""
+def drive_curve(emulated: Emulated, config: RobotConfig) -> tuple[Pose, Pose]:
+    """Drive a curve to the left. Returns its end relative to its start, truly and by odometry."""
     x, y, theta = emulated.poses()[-1]
     with Robot(open_link(emulated.device, config), config) as robot:
-        for _ in range(MOST_TICKS):
+        for _ in range(MAX_TICKS):
             robot.drive(SPEED, SPEED / RADIUS)
             if robot.odometry.pose[2] > TURN:
                 break
         for _ in range(60):
             robot.drive(0.0, 0.0)
         odometry = robot.odometry.pose
-    wait_until(emulated.stands, "a robot that stands")
-    ex, ey, end = emulated.poses()[-1]
-    cos, sin = math.cos(theta), math.sin(theta)
-    dx, dy = ex - x, ey - y
-    return (cos * dx + sin * dy, cos * dy - sin * dx, end - theta), odometry
+
+    wait_until(emulated.stands, "a robot at rest")
+    end_x, end_y, end_theta = emulated.poses()[-1]
+    dx = end_x - x
+    dy = end_y - y
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    return (cos * dx + sin * dy, cos * dy - sin * dx, end_theta - theta), odometry
 
 
-def test_an_odd_board_is_commissioned_and_driven(
-    config: RobotConfig,
-    start_emulator: StartEmulator,
-    call: Call,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    """The last of its answers only eyes can give: the sides are swapped at the motors."""
-    monkeypatch.setattr(board, "LISTEN_TIME", 0.5)  # shorter than at the command line
+@pytest.fixture
+def guess(config: RobotConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A robot's file before the board is examined, which takes less time than usual."""
+    monkeypatch.setattr(board, "LISTEN_TIME", 0.5)
     monkeypatch.setattr(board, "DELAY_TRIALS", 2)
     monkeypatch.setattr(board, "LONGEST_TIMEOUT", 1.0)
+    path = tmp_path / "guess.yaml"
+    config.save(path)
+    return path
+
+
+def test_doctor_commissions_an_odd_board_that_is_driven_then(
+    start_emulator: StartEmulator, call: Call, guess: Path, tmp_path: Path
+) -> None:
+    """Only eyes can tell that the sides are swapped at the motors."""
     odd = start_emulator("--quirk", *ODD.split())
-    guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
-    config.save(guess)
-    options = ("--robot", guess, "--out", found, "--json", report, "--saw", "b", "a", "d", "c")
+    out = tmp_path / "found.yaml"
+    report = tmp_path / "out.json"
+    options = ("--robot", guess, "--out", out, "--json", report, "--saw", "b", "a", "d", "c")
     for _ in range(TRIALS):
-        found.unlink(missing_ok=True)
-        code, out, error = call("doctor", odd.device, "--spin", "--yes", *options)
+        out.unlink(missing_ok=True)
+        code, text, error = call("doctor", odd.device, "--spin", "--yes", *options)
         assert not error
         if code != 0:
             continue
-        known = RobotConfig.load(found)
-        timely = known.firmware.command_timeout == pytest.approx(0.3, abs=0.06)
-        if timely and known.firmware.feedback_rate == 50.0:
+        robot = RobotConfig.load(out)
+        is_timely = robot.firmware.command_timeout == pytest.approx(0.3, abs=0.06)
+        if is_timely and robot.firmware.feedback_rate == 50.0:
             break
-    assert code == 0, out
-    assert timely
-    assert known.firmware.feedback_rate == 50.0
+    assert code == 0, text
+    assert is_timely
+    assert robot.firmware.feedback_rate == 50.0
     assert "left and right motors are swapped" in " ".join(report.read_text().split())
-    assert [wheel.motor + wheel.encoder for wheel in known.wheels.each] == ["ba", "ab", "dc", "cd"]
-    assert [wheel.sign for wheel in known.wheels.each] == [1, -1, 1, 1]
-    true, odometry = driven(odd, known)
-    arc = RADIUS * math.sin(true[2]), RADIUS * (1.0 - math.cos(true[2]))
+    assert [wheel.motor + wheel.encoder for wheel in robot.wheels.each] == ["ba", "ab", "dc", "cd"]
+    assert [wheel.sign for wheel in robot.wheels.each] == [1, -1, 1, 1]
+
+    true, odometry = drive_curve(odd, robot)
+    arc = (RADIUS * math.sin(true[2]), RADIUS * (1.0 - math.cos(true[2])))
     assert true[2] > TURN - 0.1
     assert true == pytest.approx((*arc, odometry[2]), abs=0.1)
     assert odometry == pytest.approx(true, abs=0.1)
 
 
-def test_no_file_is_written_of_a_wheel_that_its_board_drives_away(
-    config: RobotConfig,
-    start_emulator: StartEmulator,
-    call: Call,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
+def test_doctor_writes_no_file_for_a_wheel_that_its_board_drives_away(
+    start_emulator: StartEmulator, call: Call, guess: Path, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(board, "LISTEN_TIME", 0.5)
     emulated = start_emulator("--quirk", "runaway=a")
-    guess, found, report = (tmp_path / name for name in ("guess.yaml", "found.yaml", "out.json"))
-    config.save(guess)
-    options = ("--robot", guess, "--out", found, "--json", report)
+    out = tmp_path / "found.yaml"
+    report = tmp_path / "out.json"
+    options = ("--robot", guess, "--out", out, "--json", report)
     for _ in range(TRIALS):
         code, _, error = call("doctor", emulated.device, "--spin", "--yes", *options)
         assert (code, error) == (1, "")
@@ -102,15 +104,12 @@ def test_no_file_is_written_of_a_wheel_that_its_board_drives_away(
             break
     assert "set ENCODER_REVERSED in the board's program" in report.read_text()
     assert "isn't written" in report.read_text()
-    assert not found.exists()
+    assert not out.exists()
     wait_until(emulated.is_stopped, "zero as the newest command")
 
 
-SAID = "rear_left stands still"
-
-
 @pytest.fixture(scope="module")
-def lame(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
+def dead_wheel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
     """A robot with a dead wheel."""
     folder = tmp_path_factory.mktemp("lame")
     emulated = start(folder / "emulator.jsonl", "--quirk", "dead-wheel=c")
@@ -119,48 +118,50 @@ def lame(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
 
 
 @pytest.mark.parametrize(
-    ("quirk", "twist", "said"),
+    ("quirk", "twist", "message"),
     [
         ("runaway=a", ("--linear", "0.05"), "front_right turns too fast"),
-        # By test_wheel_check it "answers front_left's command"; by late lines it may be too slow.
+        # The wheel check's tests know the wheel; here late lines may make it too slow instead.
         ("swapped-encoders", ("--linear", "0.4", "--angular", "1.2"), "rad/s commanded"),
-        ("feedback-factor=9.55", ("--linear", "0.05"), "turns too fast"),
     ],
 )
-def test_drive_ends_on_boards_that_a_sign_in_the_file_cannot_mend(
+def test_drive_ends_on_boards_that_the_robots_file_cannot_correct(
     quirk: str,
     twist: tuple[str, ...],
-    said: str,
+    message: str,
     start_emulator: StartEmulator,
     robot_file: RobotFile,
     call: Call,
 ) -> None:
-    board = start_emulator("--quirk", quirk)
+    emulated = start_emulator("--quirk", quirk)
     robot = robot_file(wheels={"a": {"sign": -1}} if "runaway" in quirk else {})
-    code, _, error = call("drive", "--link", board.device, *twist, "--robot", robot)
+    code, _, error = call("drive", "--link", emulated.device, *twist, "--robot", robot)
     assert code == 3
-    assert_one_line(error, said)
-    wait_until(board.is_stopped, "zero as the newest command")
+    assert_one_line(error, message)
+    wait_until(emulated.is_stopped, "zero as the newest command")
 
 
-def test_an_evaluation_counts_faults(
-    lame: Emulated, robot_file: RobotFile, call: Call, tmp_path: Path
+def test_evaluate_counts_faults(
+    dead_wheel: Emulated, robot_file: RobotFile, call: Call, tmp_path: Path
 ) -> None:
     file = tmp_path / "run.json"
-    arguments = ("--link", lame.device, "--robot", robot_file(), "--episodes", "2", "--json", file)
-    code, output, error = call("evaluate", *arguments)
+    options = ("--robot", robot_file(), "--episodes", "2", "--json", file)
+    code, out, error = call("evaluate", "--link", dead_wheel.device, *options)
     assert code == 3
-    assert_one_line(error, SAID)
-    assert f"Faults: 2 of 2: {SAID}" in " ".join(output.split())
+    fault = "rear_left stands still"
+    assert_one_line(error, fault)
+    assert f"Faults: 2 of 2: {fault}" in " ".join(out.split())
     data = json.loads(file.read_text())
     assert (data["fault_rate"], data["timeout_rate"]) == (1.0, 0.0)
-    assert SAID in data["per_episode"][0]["fault"]
+    assert fault in data["per_episode"][0]["fault"]
 
 
-def test_the_check_can_be_switched_off(lame: Emulated, robot_file: RobotFile, call: Call) -> None:
+def test_drive_without_the_wheel_check(
+    dead_wheel: Emulated, robot_file: RobotFile, call: Call
+) -> None:
     robot = robot_file(wheel_check=False)
     twist = ("--linear", "0.2", "--duration", "1")
-    assert call("drive", "--link", lame.device, *twist, "--robot", robot)[::2] == (0, "")
+    assert call("drive", "--link", dead_wheel.device, *twist, "--robot", robot)[::2] == (0, "")
 
 
 def test_a_board_that_echoes_is_refused_in_one_line(
@@ -168,13 +169,11 @@ def test_a_board_that_echoes_is_refused_in_one_line(
 ) -> None:
     device = start_emulator("--quirk", "echo").device
     robot = ("--robot", robot_file())
-    code, output, _ = call("doctor", device, "--spin", "--yes", *robot)
+    code, out, _ = call("doctor", device, "--spin", "--yes", *robot)
     assert code == 1
-    assert "this board echoes" in " ".join(output.split())
-    assert "reset" not in output
+    assert "this board echoes" in " ".join(out.split())
 
-    for command in (("identify", device, "--yes"), ("drive", "--link", device, "--linear", "0.1")):
-        code, _, error = call(*command, *robot)
-        assert code == 3
-        assert_one_line(error, f"{device}: this board echoes: it sends each command back")
-        assert "delete the echo from the board's program" in error
+    code, _, error = call("identify", device, "--yes", *robot)
+    assert code == 3
+    assert_one_line(error, f"{device}: this board echoes: it sends each command back")
+    assert "delete the echo from the board's program" in error

@@ -11,7 +11,6 @@ from recording_tools import drive
 from zip_tools import save
 
 from acsar_gym import RobotConfig
-from acsar_gym.tools import jobs
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
@@ -22,70 +21,50 @@ ERRORS = [
     ("run 1 0 --link bulet", 2, "did you mean 'bullet'?"),
     ("run 1 0 --link serial --yes", 2, "serial_port"),
     ("run 1 0 --link socket://127.0.0.1:1 --yes", 3, "socket://127.0.0.1:1"),
-    ("run 1 0 --link replay:notes.txt", 2, "notes.txt: "),
     ("run 50 0 --link planar", 2, "goal = (50, 0)"),
     ("run 1 0 --link planar --robot acsr", 2, "did you mean 'acsar'?"),
     ("run 1 0 --link planar --policy odd.onnx", 2, "odd.onnx: "),
     ("run 1 0 --link planar --record /dev/full", 2, "/dev/full: "),
     ("run 1 0 --link planar --env maze", 2, "`Maze` doesn't exist"),
-    ("run 1 0 --realtime 99", 2, "real-time priority = 99"),
-    ("evaluate --link planar --episodes 0", 2, "--episodes"),
     (f"evaluate --link planar --episodes {HUGE}", 2, "--episodes 1000"),
-    (f"evaluate --link planar --seed {HUGE}", 2, "--seed 1000"),
     (f"evaluate --link {MISSING} --episodes 1", 3, f"{MISSING}: "),
     ("evaluate --workers 0 --link planar", 2, "--workers 0"),
-    *(
-        (f"{BENCHMARK} --address {place}", 2, f"--address '{place}'")
-        for place in ("nowhere", "host:port")
-    ),
-    (f"{BENCHMARK} --address 127.0.0.1:1", 3, "'127.0.0.1:1': "),
+    (f"{BENCHMARK} --address nowhere", 2, "--address 'nowhere'"),
     (f"{BENCHMARK} --resume nothing", 2, "nothing/plan.json: "),
-    (f"{BENCHMARK} mine.onnx", 2, "mine.onnx: "),
     ("benchmark --agents turn_drive --sets croud", 2, "did you mean 'crowd'?"),
-    ("train --env maze", 2, "`Maze` doesn't exist"),
+    ("benchmark --out /proc/nowhere", 2, "/proc/nowhere: "),
     ("train --gamma 1.5", 2, "train.gamma = 1.5"),
     ("train --conf-file no.yml --threads 1", 2, "no.yml: "),
-    ("train --worlds clutter", 2, "--worlds: "),
-    ("train --out /dev/null/here --threads 1", 2, "--out /dev/null/here"),
     ("train --seeds 0-1 --resume runs/x", 2, "--resume: "),
-    *((f"train --seeds={seeds}", 2, f"--seeds {seeds!r}") for seeds in ("", "4-0", "0-1000")),
-    ("demo --steps 0", 2, "demo.steps = 0"),
+    ("demo --steps 0", 2, "steps = 0"),
     ("worlds check no/such.world", 2, "no/such.world"),
-    ("worlds convert clutter:2 two.json", 2, "clutter:2 "),
+    ("worlds convert clutter:2 two.json", 2, "clutter:2: 2 worlds are too many, at most 1"),
     ("worlds show open:500", 2, "500 worlds"),
+    ("worlds show open:1 --out open.gif", 2, "open.gif: pictures are PNG files"),
     ("policy model.zip --trust --env maze", 2, "Maze"),
     (f"doctor {MISSING} --spin", 2, "add --yes"),
+    (f"doctor {MISSING} --saw a b c d", 2, "need --spin"),
     ("doctor ros2 --spin --baud-rate 9600", 2, "--spin, --baud-rate: not of a robot in ROS"),
     ("drive --link planar --linear nan", 2, "--linear"),
-    (f"drive --link {MISSING} --linear 0.1", 3, f"{MISSING}: "),
-    ("view nothing.mcap", 2, "nothing.mcap: "),
-    ("view bullet", 2, "bullet: isn't a recording"),
+    ("drive --link planar --linear 0.1 --gamepad", 2, "--gamepad takes one device"),
+    ("ros policy --episodes 0", 2, "--episodes 0: must be at least 1"),
     ("record info notes.txt", 2, "notes.txt: "),
     ("record export --to csv", 2, "needs a recording"),
     ("record export tape.mcap tape.mcap --to csv", 2, "several recordings: "),
-    ("record export tape.mcap --to lerobot --out notes.txt", 2, "notes.txt: can't be written"),
-    ("benchmark --env bran", 2, "--env 'bran'; did you mean"),
-    ("benchmark --agents dwaa", 2, "did you mean 'dwa'?"),
-    ("benchmark --scenes 1001", 2, "1,001"),
-    ("benchmark --out /proc/nowhere", 2, "/proc/nowhere: "),
     ("identify", 2, "identify needs"),
-    (f"identify {MISSING}", 2, "add --yes"),
     (f"identify {MISSING} --yes", 3, f"{MISSING}: "),
     ("identify planar --out list.yaml", 2, "list.yaml: is there, and isn't a robot's file"),
-    (f"doctor {MISSING} --spin --yes --out list.yaml", 2, "list.yaml: is there, and isn't"),
-    ("run 1 0 --link planar --robot ekf.yaml", 2, "ekf.yaml: is a ROS parameter file without"),
-    ("run 1 0 --link planar --robot two.urdf", 2, "two.urdf: has no parameters of ACSARInterface"),
-    ("run 1 0 --link planar --robot acsar,jackal", 2, "give one robot here"),
-    (f"identify {MISSING} --yes --out x.txt", 2, "path = 'x.txt'"),
     (f"identify one.mcap {MISSING}", 2, f"{MISSING}: "),
-    ("identify planer", 2, "did you mean 'planar'"),
+    ("identify tape.mcap --duration 5", 2, "--duration is for driving a robot"),
+    ("calibrate tape.mcap straight --twin acsar", 2, "--twin is for driving a robot"),
     ("calibrate planar straight --space 1 1", 2, "--space 1 1"),
     ("calibrate planar straight --measured 2 2 --repeats 3", 2, "2 readings"),
     ("calibrate planar turn --speeds 9", 2, "--speeds 9"),
     ("calibrate /dev/ttyUSB9 straight --space 9 9", 2, "--measured-deg"),
     (f"calibrate {MISSING} straight --space 9 9 --measured 2", 2, "add --yes"),
+    ("calibrate planar straight --distance 0.6 --measured 61.5", 2, "contradicts the odometry"),
     ("gap --robot acsar", 2, "--record"),
-    ("gap notes.txt --robot acsar", 2, "notes.txt:"),
+    ("gap tape.mcap tape.mcap --robot acsar", 2, "is the same recording as tape.mcap"),
     ("gap tape.mcap --robot acsar --body balloon", 2, "'balloon'"),
 ]
 
@@ -99,8 +78,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "notes.txt").write_text("not ONNX, nor a recording")
     (folder / "odd.onnx").write_bytes(bytes(range(256)) * 8)
     (folder / "list.yaml").write_text("buy: milk\n")
-    (folder / "ekf.yaml").write_text("ekf: {ros__parameters: {frequency: 30.0}}\n")
-    (folder / "two.urdf").write_text("<robot/>")
     save(folder / "model.zip")
     return folder
 
@@ -110,21 +87,12 @@ def test_a_bad_value_is_one_line_and_an_exit_code(
     line: str, status: int, message: str, folder: Path, call: Call, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(jobs, "CLUSTER_TIMEOUT", 0.1)
     code, _, error = call(*line.split())
     assert code == status, error
     assert_one_line(error, message)
 
 
-@pytest.mark.parametrize("line", ["", "dance", "run 1", "emulate --body", "worlds", "record infos"])
-def test_a_command_line_that_cannot_be_read(line: str, call: Call) -> None:
-    code, _, error = call(*line.split())
-    assert code == 2
-    assert error
-    assert "Traceback" not in error
-
-
-def test_a_cut_recording_is_described_as_far_as_it_goes(
+def test_record_info_describes_a_cut_recording_as_far_as_it_goes(
     folder: Path, call: Call, tmp_path: Path
 ) -> None:
     code, out, _ = call("record", "info", folder / "part.mcap", "--json", tmp_path / "info.json")

@@ -43,11 +43,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("acsar-gym run 1 0 --link planar >&-", 0, ""),
         ("acsar-gym run 1 0 --link planar | true", 141, ""),
-        ("acsar-gym drive --link planar --linear 0.1 --duration 0.2 | true", 141, ""),
         ("acsar-gym record info tape.mcap | true", 141, ""),
         ("acsar-gym record info tape.mcap >/dev/full", 2, FULL),
         ("acsar-gym --version >/dev/full", 2, FULL),
-        ("acsar-gym --help | true", 141, ""),
         ("acsar-gym worlds check missing.yaml 2>/dev/full", 2, ""),
     ],
 )

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -16,8 +16,7 @@ from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.commands.identify import FoundRobotOptions, FoundRobotOutputs
 from acsar_gym.tools.cli.options import (
-    HostOptions,
-    check_not_given,
+    check_stoppable,
     check_writable,
     countdown,
     print_results,
@@ -25,7 +24,7 @@ from acsar_gym.tools.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from acsar_gym.tools.sysid.calibration import CalibrationRun, GivenReadings
+    from acsar_gym.tools.sysid.calibration import CalibrationRun
     from acsar_gym.tools.sysid.calibration_drive import RunPlan
 
 Device = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="DEVICE|FILE")]
@@ -35,93 +34,87 @@ Manoeuvre = Annotated[
     tyro.conf.arg(metavar="straight|turn|all"),
 ]
 Numbers = Annotated[tuple[float, ...], tyro.conf.arg(metavar="N [N ...]")]
-USUAL_SPEED_SHARE = 0.6
-"""Speed where none is given, as a share of the robot's largest."""
+SPEED_SHARE = 0.6
+"""Usual speed, as a share of the robot's largest."""
 TURN_RATE_SHARES = (0.4, 0.8)
-"""Turn rates where neither rates nor readings are given, as shares of the robot's largest."""
+"""Usual turn rates without readings, as shares of the robot's largest."""
 
 
 @dataclass(frozen=True)
 class RunOptions:
     """What is driven, on which floor, and what was measured.
 
-    Straight lines tell the wheels' mean radius; turns wheel_separation_multiplier and
+    Straight lines determine the wheels' mean radius, turns wheel_separation_multiplier and
     body.turn_factor.
     """
 
     distance: float = 2.0
     """Length of each straight run, by odometry [m]."""
     measured: Numbers = ()
-    """Measured straight distances from start to end, one for each run [m]; positive, backwards
-    runs as well."""
+    """Measured straight distances from start to end, one for each run [m]. They are positive,
+    also of backward runs."""
     aside: Numbers = ()
-    """How far to the left of the line ahead each straight run ended [m], negative to the right;
-    tells left against right radius."""
+    """How far to the left of the line ahead each straight run ended [m], negative to the right.
+    This determines left against right radius."""
     turns: float = 5.0
-    """Full turns of each turning run, by odometry; left and right alternate."""
+    """Full turns of each turning run, by odometry. Left and right alternate."""
     measured_deg: Numbers = ()
-    """Measured angles, one for each turning run [degrees], full turns counted; right turns positive
-    or negative."""
+    """Measured angles, one for each turning run [degrees], full turns counted. Right turns
+    may be positive or negative."""
     speeds: Numbers = ()
-    """Turn rates [rad/s]; default: 40 % and 80 % of what max_angular and max_linear allow, or 60 %
-    where readings are given."""
+    """Turn rates [rad/s]. Default: 40 % and 80 % of what max_angular and max_linear allow, or 60 %
+    if readings are given."""
     radii: Numbers = (0.0,)
-    """Radii of the circles that the robot's centre drives [m]; 0 turns in place. Circles to both
-    sides also tell left against right radius."""
+    """Radii of the circles that the robot's centre drives [m]. 0 turns in place. Circles to both
+    sides also determine left against right radius."""
     space: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")] = None
     """Free floor ahead of the robot's centre, and to each of its sides [m]. Needed for a real
     robot, which is stopped at its edge."""
     repeats: int | None = None
-    """Runs of each kind; default: as many as readings, else 3 straight lines, 1 turn of each speed
+    """Runs of each kind. Default: as many as readings, else 3 straight lines, 1 turn of each speed
     and radius."""
     yes: bool = False
     """Don't ask before driving, for scripts."""
 
-    def readings(self) -> GivenReadings:
-        """Return the readings."""
-        from acsar_gym.tools.sysid.calibration import GivenReadings  # noqa: PLC0415
+    def plan(self, manoeuvre: Manoeuvre, config: RobotConfig) -> list[RunPlan]:
+        """Plan the runs: as many as there are readings, or `repeats`."""
+        from acsar_gym.tools.sysid.calibration_drive import (
+            plan_straights,
+            plan_turns,
+        )
 
-        return GivenReadings(self.measured, self.aside, self.measured_deg)
-
-    def plans(self, manoeuvre: Manoeuvre, config: RobotConfig) -> list[RunPlan]:
-        """The runs of a manoeuvre, or of both: as many as readings, or as asked for."""
-        from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
-
-        if self.repeats is not None and self.repeats < 1:
-            raise ConfigError(f"--repeats {self.repeats}: must be 1 or more")
         plans = []
+        if self.repeats is not None:
+            _check_number("--repeats", self.repeats, 1000.0)
         if manoeuvre != "turn":
-            speed = USUAL_SPEED_SHARE * config.max_linear
             repeats = self.repeats or len(self.measured) or 3
-            plans += calibration_drive.plan_straights(self.distance, speed, repeats)
-        if manoeuvre != "straight":
-            shares = (USUAL_SPEED_SHARE,) if self.measured_deg else TURN_RATE_SHARES
-            top = min(config.max_angular, config.max_linear / max(*self.radii, 1e-9))
-            speeds = self.speeds or tuple(share * top for share in shares)
-            for speed in speeds:
-                _check_speed("--speeds", speed, config.max_angular, field="max_angular")
-                fastest = max(speed * max(self.radii, default=0.0), 1e-9)
-                _check_speed(
-                    "--speeds times --radii", fastest, config.max_linear, field="max_linear"
-                )
-            kinds = max(1, len(speeds) * len(self.radii))
-            repeats = self.repeats or max(1, len(self.measured_deg) // kinds)
-            plans += calibration_drive.plan_turns(self.turns, speeds, self.radii, repeats)
-        return plans
+            plans += plan_straights(self.distance, SPEED_SHARE * config.max_linear, repeats)
+        if manoeuvre == "straight":
+            return plans
+
+        largest = max(*self.radii, 1e-9)
+        fastest = min(config.max_angular, config.max_linear / largest)
+        shares = (SPEED_SHARE,) if self.measured_deg else TURN_RATE_SHARES
+        speeds = self.speeds or tuple(share * fastest for share in shares)
+        for speed in speeds:
+            _check_number("--speeds", speed, config.max_angular, "max_angular = ")
+            _check_number("--speeds times --radii", speed * largest, config.max_linear)
+        kinds = max(1, len(speeds) * len(self.radii))
+        repeats = self.repeats or max(1, len(self.measured_deg) // kinds)
+        return plans + plan_turns(self.turns, speeds, self.radii, repeats)
 
 
-def _check_speed(option: str, value: float, limit: float, field: str) -> None:
+def _check_number(option: str, value: float, limit: float, field: str = "") -> None:
     if not 0.0 < value <= limit:
-        raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field} = {limit:g}")
+        raise ConfigError(f"{option} {value:g}: must be more than 0, at most {field}{limit:g}")
 
 
-@command("calibrate", "robots", drives=True)
+@command("calibrate", drives=True)
 def calibrate_robot(
     device: Device,
     manoeuvre: Manoeuvre,
     runs: RunOptions,
     setup: FoundRobotOptions,
-    host: HostOptions,
     output: FoundRobotOutputs,
 ) -> int:
     """Measure wheel radii and turning on the floor, and write them into the robot's file.
@@ -131,83 +124,74 @@ def calibrate_robot(
     --measured, --aside, --measured-deg. In simulation the truth measures.
 
     Args:
-        device: serial device, planar, bullet, mujoco; or a recording of runs that were driven
+        device: Serial device, planar, bullet, mujoco, or a recording of runs that were driven
             before, to give readings to.
-        manoeuvre: what to drive.
-        runs: how it is driven, and readings.
-        setup: the robot, and recording.
-        host: process priority and cores; whether the emergency stop may be missing.
-        output: results.
+        manoeuvre: What to drive.
+        runs: How it is driven, and readings.
+        setup: The robot, and recording.
+        output: Results.
     """
-    from acsar_gym.recording import read  # noqa: PLC0415
-    from acsar_gym.tools.sysid import calibration  # noqa: PLC0415
+    from acsar_gym.recording import read
+    from acsar_gym.tools.sysid import calibration
 
-    check_writable(output.json, robot=output.out, force=output.force)
+    check_writable(output.json, robot=output.out)
+    readings = calibration.GivenReadings(runs.measured, runs.aside, runs.measured_deg)
     if not device.endswith(".mcap"):
-        return _drive_and_finish(device, manoeuvre, runs, setup=setup, host=host, output=output)
+        return _drive_and_finish(device, manoeuvre, runs, readings, setup=setup, output=output)
 
-    check_not_given((("--twin", setup.twin), ("--record", setup.record)))
+    setup.check_recorded()
     recording = read(Path(device))
     config = recording.config if setup.robot is None else RobotConfig.of(setup.robot)
-    given = runs.readings()
     recorded = calibration.read_recorded_runs(Path(device), manoeuvre, config)
-    given.check([run.manoeuvre for run in recorded])
+    readings.check([run.manoeuvre for run in recorded])
     in_ros = any(episode.wire.stamped for episode in recording.episodes)
-    return _finish_calibration(given.give(recorded), config, output, in_ros=in_ros)
+    return _finish_calibration(readings.give(recorded), config, output, in_ros=in_ros)
 
 
 def _drive_and_finish(
     device: str,
     manoeuvre: Manoeuvre,
     options: RunOptions,
+    readings: Any,
     *,
     setup: FoundRobotOptions,
-    host: HostOptions,
     output: FoundRobotOutputs,
 ) -> int:
-    """Drive the runs; returns the exit code."""
-    from acsar_gym.links import open_link  # noqa: PLC0415
-    from acsar_gym.physics.bodies import BODIES  # noqa: PLC0415
-    from acsar_gym.robot import Robot  # noqa: PLC0415
-    from acsar_gym.tools.sysid import calibration_drive  # noqa: PLC0415
+    """Drive the runs. Returns the exit code."""
+    from acsar_gym.links import open_link
+    from acsar_gym.robot import Robot
+    from acsar_gym.tools.sysid.calibration_drive import drive_plans
 
-    simulated = device in BODIES
     config = RobotConfig.of(setup.robot)
-    plans = options.plans(manoeuvre, config)
-    given = options.readings()
-    if not (given.check([plan.manoeuvre for plan in plans]) or simulated or setup.record):
+    plans = options.plan(manoeuvre, config)
+    link = open_link(device, setup.driven(config, device))
+    has_readings = readings.check([plan.manoeuvre for plan in plans])
+    if not (has_readings or setup.record or not link.is_real):
         raise ConfigError(
             "nobody would measure: add --record FILE and give the readings later, or give "
             "--measured or --measured-deg"
         )
-    link = open_link(device, setup.driven(config, device))
-    host.prepare(device)
+    check_stoppable(device)
     recorder = setup.recorder("calibrate", link=device)
     runs: list[CalibrationRun] = []
-
-    def finish() -> int:
-        record = setup.record
-        return _finish_calibration(
-            given.give(runs), config, output, in_ros=link.stamped, record=record
-        )
-
     try:
-        calibration_drive.drive_plans(
+        drive_plans(
             Robot(link, config, recorder=recorder),
             plans,
             options.space,
             runs=runs,
-            announce=lambda plan: _announce_run(device, options, plan, simulated=simulated),
+            announce=lambda plan: _announce_run(device, options, plan, is_real=link.is_real),
             recorder=recorder,
-            reads_truth=simulated and not given.measured and not given.degrees,
+            reads_truth=not link.is_real and not has_readings,
         )
     except LinkError:
         if runs:
             say(f"{len(runs)} finished runs are used")
-            with contextlib.suppress(ConfigError):  # too few; what ended them counts more
-                finish()
+            with contextlib.suppress(ConfigError):  # too few runs: the LinkError is reported
+                _finish_calibration(readings.give(runs), config, output, in_ros=link.stamped)
         raise
-    return finish()
+    measured = readings.give(runs)
+    return _finish_calibration(measured, config, output, in_ros=link.stamped, record=setup.record)
 
 
 def _finish_calibration(
@@ -218,15 +202,13 @@ def _finish_calibration(
     in_ros: bool,
     record: Path | None = None,
 ) -> int:
-    """Fit, print and write; returns the exit code."""
-    from acsar_gym.tools.sysid import calibration_fit  # noqa: PLC0415
+    """Fit, print and write. Returns the exit code."""
+    from acsar_gym.tools.sysid import calibration_fit
 
     if not any(run.readings for run in runs):
         print_results(json=output.json, data=calibration_fit.format_calibration(None, runs, config))
-        hint = "no run has a reading: nothing was found"
-        if record is not None:
-            hint += f"; give them later: acsar-gym calibrate {record} all --measured ..."
-        say(hint)
+        later = f"; give them later: acsar-gym calibrate {record} all --measured ..."
+        say(f"no run has a reading: nothing was found{later if record else ''}")
         if output.out is not None:
             say(f"{output.out} isn't written: there are no readings yet")
         return 0
@@ -240,22 +222,20 @@ def _finish_calibration(
     )
     if output.out is None:
         return 0
-    calibrated = calibration_fit.make_calibrated_config(fit, config, in_ros=in_ros)
-    calibrated.save(output.out, force=output.force)
-    say(f"written: {output.out}; use it with --robot {output.out}")
+    output.write(calibration_fit.make_calibrated_config(fit, config, in_ros=in_ros))
     if in_ros:
         say(
-            "its controller takes twists by its own radii and separation, which are in ros2 of the "
-            "file. Better set the found ones in its parameters and delete wheel_radii and "
-            "wheel_separation from ros2"
+            "its controller converts twists with its own radii and separation, which are in ros2 "
+            "of the file. Better set the found values in its parameters and delete wheel_radii "
+            "and wheel_separation from ros2"
         )
     return 0
 
 
-def _announce_run(device: str, options: RunOptions, plan: RunPlan, *, simulated: bool) -> None:
-    """Wait until a real robot is in its place; say what is driven."""
+def _announce_run(device: str, options: RunOptions, plan: RunPlan, *, is_real: bool) -> None:
+    """Announce a run, and wait until a real robot is in its place."""
     say(f"{plan.name} ...")
-    if simulated:
+    if not is_real:
         return
     if sys.stdin.isatty() and not options.yes:
         x, y = options.space or (0.0, 0.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import tyro
@@ -11,88 +10,71 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import CommandError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
-    HostOptions,
     LidarArg,
     RecordOptions,
     RobotArg,
     Seconds,
+    check_stoppable,
 )
 
 
-@dataclass(frozen=True)
-class DriverOptions:
-    """Who drives; default: the keyboard."""
-
-    linear: float | None = None
-    """Fixed linear speed, at most the robot's max_linear [m/s]."""
-    angular: float | None = None
-    """Fixed angular speed, at most the robot's max_angular [rad/s]."""
-    duration: Seconds = None
-    """Seconds to drive with the fixed twist; default: until Ctrl-C."""
-    gamepad: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[DEVICE]")] = None
-    """A gamepad (Linux), while LB is held: the first one found, or that event device, such as a
-    name of /dev/input/by-id."""
-
-    def check(self) -> None:
-        """Raise CommandError where there are two drivers."""
-        if self.gamepad is None:
-            return
-        if len(self.gamepad) > 1 or (self.linear, self.angular, self.duration) != (None,) * 3:
-            raise CommandError(
-                "--gamepad takes one device, and no --linear, --angular or --duration beside it"
-            )
-
-
-@command("drive", "robots", drives=True)
+@command("drive", drives=True)
 def drive_robot(
-    driver: DriverOptions,
-    host: HostOptions,
     recording: RecordOptions,
     link: str = "bullet",
     robot: RobotArg = None,
     lidar: LidarArg = None,
     window: bool = False,
+    linear: float | None = None,
+    angular: float | None = None,
+    duration: Seconds = None,
+    gamepad: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[DEVICE]")] = None,
 ) -> int:
     """Drive with the keyboard, a gamepad, or a fixed twist, on any link.
 
     Args:
-        driver: who drives.
-        host: process priority and cores; whether the emergency stop may be missing.
-        recording: recording of what the robot does.
+        recording: Recording and viewer.
         link: bullet, planar, mujoco, or a serial device.
-        robot: preset or config file.
-        lidar: a LiDAR to record, such as rplidar:///dev/ttyUSB1; simulated, where the link is.
-        window: open PyBullet's window.
+        robot: Preset or config file.
+        lidar: A LiDAR to record, such as rplidar:///dev/ttyUSB1, or simulated if the link is.
+        window: Open PyBullet's window.
+        linear: Fixed linear speed, at most the robot's max_linear [m/s].
+        angular: Fixed angular speed, at most the robot's max_angular [rad/s].
+        duration: Seconds to drive with the fixed twist. Default: until Ctrl-C.
+        gamepad: A gamepad (Linux), while LB is held: the first gamepad, or an event device, such
+            as a name of /dev/input/by-id.
     """
-    from acsar_gym.links import open_link  # noqa: PLC0415
-    from acsar_gym.robot import Robot  # noqa: PLC0415
-    from acsar_gym.sensors.suite import sensor_factories  # noqa: PLC0415
-    from acsar_gym.tools import teleop  # noqa: PLC0415
+    from acsar_gym.links import open_link
+    from acsar_gym.robot import Robot
+    from acsar_gym.sensors.suite import sensor_factories
+    from acsar_gym.tools import teleop
 
-    driver.check()
-    host.prepare(link)
+    fixed = (linear, angular, duration)
+    if gamepad is not None and (len(gamepad) > 1 or fixed != (None, None, None)):
+        raise CommandError("--gamepad takes one device, and no --linear, --angular or --duration")
+    check_stoppable(link)
     config = RobotConfig.of(robot)
     opened = open_link(link, config, window=window, realtime=True)
     sensors = sensor_factories(["lidar"], lidar) if lidar else ()
     driven = Robot(opened, config, sensors, recorder=recording.recorder("drive", link=link))
-    if driver.gamepad is not None:
-        teleop.drive_gamepad(driven, *driver.gamepad)
-    elif driver.linear is None and driver.angular is None:
+    if gamepad is not None:
+        teleop.drive_gamepad(driven, *gamepad)
+    elif linear is None and angular is None:
         teleop.drive_keyboard(driven)
     else:
-        teleop.drive_twist(driven, driver.linear or 0.0, driver.angular or 0.0, driver.duration)
+        teleop.drive_twist(driven, linear or 0.0, angular or 0.0, duration)
     return 0
 
 
-@command("estop", "robots")
+@command("estop")
 def stop_robots(release: bool = False) -> int:
     """Stop all real robots that your programs on this computer are driving.
 
     They stay stopped, whatever their programs do, until --release.
 
     Args:
-        release: let them drive again, after their programs' next reset.
+        release: Let them drive again, after their programs' next reset.
     """
-    from acsar_gym.guard import estop  # noqa: PLC0415
+    from acsar_gym.guard import estop
 
     return estop.run_command(release=release)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -19,7 +18,7 @@ from acsar_gym.tools.cli.options import (
 )
 
 
-@command("policy", "policies")
+@command("policy")
 def show_policy(
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE|NAME")],
     output: ResultOptions,
@@ -29,26 +28,26 @@ def show_policy(
     robot: RobotArg = None,
     vecnormalize: Annotated[str | None, tyro.conf.arg(metavar="FILE|none")] = None,
 ) -> int:
-    """Show what a policy was trained for and how; with --out, convert it to ONNX.
+    """Show what a policy was trained for and how. With --out, convert it to ONNX.
 
     Args:
         file: ONNX file, name of a packaged policy, or zip of PPO, A2C, SAC, TD3, DDPG, TQC or
             RecurrentPPO.
-        output: results in a file.
+        output: Results in a file.
         out: ONNX file to write, which runs no code when it's loaded.
-        trust: allow a zip to run code: only zips from people you trust.
-        env: env that a zip was trained for, such as point_goal; models of 'acsar-gym train' know
+        trust: Allow a zip to run code: only zips from people you trust.
+        env: Env that a zip was trained for, such as point_goal. Models of 'acsar-gym train' know
             it.
-        robot: preset or config file of the robot that a zip was trained on.
-        vecnormalize: file of the VecNormalize that a zip was trained with; can run code as well.
+        robot: Preset or config file of the robot that a zip was trained on.
+        vecnormalize: File of the VecNormalize that a zip was trained with. Can run code as well.
             Default: the file beside the zip.
     """
-    from acsar_gym.envs.ids import find_id  # noqa: PLC0415
-    from acsar_gym.tools.evaluation import report  # noqa: PLC0415
-    from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy, resolve  # noqa: PLC0415
+    from acsar_gym.envs.ids import find_id
+    from acsar_gym.tools.evaluation import report
+    from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy, resolve
 
     output.check()
-    check_writable(out, force=output.force, mark="")
+    check_writable(out, mark="")
     policy: OnnxPolicy
     if resolve(file).suffix == ".zip":
         env_id = find_id(env) if env else ""
@@ -58,6 +57,6 @@ def show_policy(
     table = report.fact_table(str(policy.path), policy.document.rows())
     print_results(table, json=output.json, data=policy.document.model_dump(mode="json"))
     if out is not None:
-        policy.save(Path(out))
+        policy.save(out)
         say(f"written: {out}")
     return 0

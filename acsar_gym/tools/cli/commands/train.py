@@ -8,19 +8,25 @@ from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.training.options import TrainingOptions
 
 
-@command("train", "policies")
+@command("train")
 def train_policy(training: TrainingOptions) -> int:
     """Train a policy on one of the environments and export it as one ONNX file.
 
     Ctrl-C and SIGTERM end it early, and save the model.
 
     Args:
-        training: the training.
+        training: The training.
     """
     if training.warm_up:
-        return warm_up(training)
-    from acsar_gym.tools.training.run import train  # noqa: PLC0415
-    from acsar_gym.tools.training.seeds import train_seeds  # noqa: PLC0415
+        from acsar_gym.tools.warm_up import warm_env
+
+        warmed = warm_env(training.env, training.robot)
+        worlds = f", {warmed.worlds} worlds at hand" if warmed.worlds else ""
+        functions = f"{warmed.functions} functions compiled"
+        print(f"{training.env}: {functions}{worlds}, {warmed.seconds:.1f} s")
+        return 0
+    from acsar_gym.tools.training.run import train
+    from acsar_gym.tools.training.seeds import train_seeds
 
     try:
         if training.seeds is None:
@@ -31,14 +37,4 @@ def train_policy(training: TrainingOptions) -> int:
         if end.args == (signal.SIGTERM.name,):
             return 128 + signal.SIGTERM
         raise
-    return 0
-
-
-def warm_up(options: TrainingOptions) -> int:
-    """Compile the loops of an env, and generate its worlds."""
-    from acsar_gym.tools.warm_up import warm_env  # noqa: PLC0415
-
-    done = warm_env(options.env, options.robot)
-    worlds = f", {done.worlds} worlds at hand" if done.worlds else ""
-    print(f"{options.env}: {done.functions} functions compiled{worlds}, {done.seconds:.1f} s")
     return 0

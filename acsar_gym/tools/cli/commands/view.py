@@ -11,31 +11,28 @@ import tyro
 
 from acsar_gym.errors import require_extra
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.options import BagOptions, File, Force, RobotArg, check_writable, say
+from acsar_gym.tools.cli.options import BagOptions, File, RobotArg, check_writable, say
 
-Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+Recorded = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 
 
-@command("view", "recordings")
-def view_run(
-    source: Source, bag: BagOptions, save: File = None, force: Force = False, robot: RobotArg = None
-) -> int:
+@command("view")
+def view_run(source: Recorded, bag: BagOptions, save: File = None, robot: RobotArg = None) -> int:
     """Show a recorded run in Rerun's viewer. Drive with --view to watch a robot live.
 
     Args:
         source: A recording, or a ROS 2 bag.
         bag: Options of ROS 2 bags.
         save: Write an .rrd file instead of opening a viewer.
-        force: Replace existing files of other commands.
         robot: For ROS 2 bags: preset or file of the robot.
     """
-    from acsar_gym.recording.bags import is_recording  # noqa: PLC0415
+    from acsar_gym.recording.bags import is_recording
 
     os.environ.setdefault("RUST_LOG", "off")  # Rerun would report that its viewer was closed
     with require_extra("the viewer", "view"):
-        from acsar_gym.tools.view import show  # noqa: PLC0415
+        from acsar_gym.tools.view import show
 
-    check_writable(save, force=force, mark="RRF")
+    check_writable(save, mark="RRF")
     path = show.find_recording(source)
     if path.exists() and not is_recording(path):
         path = bag.open(path, robot)

@@ -9,109 +9,96 @@ import tyro
 
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
-    Force,
-    OutFile,
     ResultOptions,
     RobotArg,
-    WorldFileOptions,
+    Source,
     check_writable,
     print_results,
     say,
 )
 
-Source = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="KIND|PATH")]
 
-
-@command("worlds show", "worlds")
+@command("worlds show")
 def show_worlds(
     source: Source,
-    file: WorldFileOptions,
     out: Path = Path("worlds.png"),
-    columns: int = 4,
-    size: int = 320,
     difficulty: float | None = None,
     robot: RobotArg = None,
-    force: Force = False,
 ) -> int:
     """Draw a world, or a sheet of several, as a PNG file.
 
     Args:
-        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
-        file: of the worlds.
-        out: the picture.
-        columns: worlds side by side.
-        size: width and height of each world [pixels].
-        difficulty: difficulty of generated worlds, 0 to 1.
-        robot: preset or config file; generated worlds fit its footprint.
-        force: replace a file that this command didn't write, too.
+        source: Kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        out: The picture.
+        difficulty: Difficulty of generated worlds, 0 to 1.
+        robot: Preset or config file. Generated worlds fit its footprint.
     """
-    from acsar_gym.tools import atlas  # noqa: PLC0415
+    from acsar_gym.render.top_view import check_picture_name
+    from acsar_gym.tools import atlas
 
-    check_writable(out, force=force)
-    most = atlas.max_drawn(columns, size, out)
-    _, worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12, most)
-    atlas.draw_worlds(worlds, columns, size, out)
+    check_picture_name(out)
+    check_writable(out)
+    _, worlds = atlas.collect_worlds(source, difficulty, robot, 12, atlas.MAX_DRAWN)
+    atlas.draw_worlds(worlds, out)
     if movers := atlas.describe_movers(worlds):
         say(movers)
     say(f"drawn: {out}")
     return 0
 
 
-@command("worlds check", "worlds")
+@command("worlds check")
 def check_worlds(
     source: Source,
-    file: WorldFileOptions,
     output: ResultOptions,
     difficulty: float | None = None,
     robot: RobotArg = None,
 ) -> int:
-    """Check whether the robot can cross worlds; print path lengths.
+    """Check whether the robot can cross worlds. Print path lengths.
 
     Args:
-        source: kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
-        file: of the worlds.
-        output: results in a file.
-        difficulty: of generated worlds, 0 to 1.
-        robot: preset or config file, for its footprint.
+        source: Kind of generated worlds (clutter:12, mine.module:halls:0-9), file or folder.
+        output: Results in a file.
+        difficulty: Difficulty of generated worlds, 0 to 1.
+        robot: Preset or config file, for its footprint.
     """
-    from acsar_gym.tools import atlas  # noqa: PLC0415
-    from acsar_gym.tools.evaluation.metrics import replace_nonfinite  # noqa: PLC0415
+    from acsar_gym.tools import atlas
 
     output.check()
-    world_set, worlds = atlas.collect_worlds(file.place(source), difficulty, robot, 12)
+    world_set, worlds = atlas.collect_worlds(source, difficulty, robot, 12)
     findings = atlas.check_worlds(worlds, robot)
     title = source if world_set.worlds else str(world_set)
-    table = atlas.findings_table(title, findings)
-    data = {
-        "source": title,
-        "split": world_set.split or None,
-        "worlds": replace_nonfinite(findings),
-    }
-    print_results(table, json=output.json, data=data)
+    data = {"source": title, "split": world_set.split or None, "worlds": findings}
+    print_results(atlas.findings_table(title, findings), json=output.json, data=data)
     return int(any(finding["fault"] for finding in findings))
 
 
-@command("worlds convert", "worlds")
+@command("worlds convert")
 def convert_world(
     source: Source,
-    out: OutFile,
-    file: WorldFileOptions,
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")],
+    start: Annotated[str | None, tyro.conf.arg(metavar="X,Y,THETA")] = None,
+    goal: Annotated[str | None, tyro.conf.arg(metavar="X,Y")] = None,
     difficulty: float | None = None,
     robot: RobotArg = None,
-    force: Force = False,
 ) -> int:
     """Write a world to a file of this project's format, .json or .yaml.
 
     Args:
-        source: a .world file, the YAML of a ROS map, or a generated world like barn:7-7.
+        source: A .world file, the YAML of a ROS map, or a generated world like barn:7-7.
         out: .json or .yaml file.
-        file: of the world.
-        difficulty: difficulty of generated worlds, 0 to 1.
-        robot: preset or config file; generated worlds fit its footprint.
-        force: replace another file that exists.
+        start: Start in a world of a file [m, rad], such as 2,3,1.57. Without theta, the robot
+            faces any direction.
+        goal: Goal in a world of a file [m].
+        difficulty: Difficulty of generated worlds, 0 to 1.
+        robot: Preset or config file. Generated worlds fit its footprint.
     """
-    from acsar_gym.tools import atlas  # noqa: PLC0415
+    from acsar_gym.tools import atlas
+    from acsar_gym.worlds import files
+    from acsar_gym.worlds.sets import place_worlds
 
-    atlas.convert_world(file.place(source), out, difficulty, robot, force=force)
+    check_writable(out, mark="")  # people edit worlds
+    place = place_worlds([source], start, goal)
+    _, (world,) = atlas.collect_worlds(place, difficulty, robot, count=1, most=1)
+    files.save_world(world, out)
     say(f"written: {out}")
     return 0
