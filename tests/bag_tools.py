@@ -50,7 +50,7 @@ def make_bag(
 
 def stamp_twist(content: Any) -> Any:
     """A TwistStamped of a Twist."""
-    return messages.make_blank("geometry_msgs/msg/TwistStamped", twist=content)
+    return messages.make_message("geometry_msgs/msg/TwistStamped", twist=content)
 
 
 def without_velocities(topic: str, content: Any) -> Any:

@@ -13,6 +13,8 @@ from acsar_gym import Robot, RobotConfig
 from acsar_gym.links import open_link
 from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.protocol import Speeds
+from acsar_gym.recording.blocks import Head
+from acsar_gym.recording.events import Tables
 from acsar_gym.recording.types import Episode, Recording, Scans, WireLog
 from acsar_gym.worlds import Pose, Scene
 
@@ -148,17 +150,10 @@ def of_rows(log: WireLog, rows: list[Any], info: Mapping[str, Any], **arrays: An
         "rewards": np.zeros(0),
         "scans": Scans(np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64)),
     }
-    return Episode(
-        start=0.0,
-        wire=log,
-        stamps=stamps,
-        poses=poses,
-        twists=twists,
-        speeds=speeds,
-        truth=truth,
-        info=info,
-        **(nothing | arrays),
-    )
+    rows_of = {"poses": poses, "twists": twists, "speeds": speeds, "truth": truth}
+    episode = Episode(Head(info=dict(info)), Tables())
+    vars(episode).update(wire=log, stamps=stamps, **rows_of, **(nothing | arrays))
+    return episode
 
 
 def recording(config: RobotConfig, *episodes: Episode, name: str = "", **header: Any) -> Recording:

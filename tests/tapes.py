@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import tty
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from acsar_gym import Link, RobotConfig, open_link
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
 from acsar_gym.recording.recorded import RecordedLink
-from acsar_gym.recording.replay import ReplayLink, Tape
+from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
 PERIOD = 0.01
@@ -48,12 +49,14 @@ def play(tape: Path, master: int, heard: Any) -> None:
     """A tape player at the far end of the tty: one period's feedback for each command heard."""
     wrong = 0
     for episode in read(tape).episodes:
-        player = Tape(episode)
-        while not player.is_over:
-            sent, got = player.next()
+        writes = iter(episode.wire.sent)
+        pieces = iter(episode.wire.got)
+        for period in episode.exchanges:
+            sent = b"".join(islice(writes, period["writes"]))
             wrong += _heard(master, len(sent)) != sent
-            os.write(master, got)
-        wrong += _heard(master, len(player.remaining_writes)) != player.remaining_writes
+            os.write(master, b"".join(islice(pieces, period["pieces"])))
+        last = b"".join(writes)  # the stop at the end
+        wrong += _heard(master, len(last)) != last
     heard.put(wrong)
 
 

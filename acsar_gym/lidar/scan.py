@@ -34,8 +34,6 @@ measurements of a robot at rest. Farther away nothing is known."""
 NOTHING = 1e9
 """Length of a failed measurement, and distance in rays of a measurement that doesn't exist: larger
 than any real number of these."""
-MAX_DISTANCE = 1e6  # largest distance of a measurement: more than any LiDAR's range [m]
-MAX_STAMP = 4e9  # largest time on a link's clock, either sign: 126 years [s]
 TIME, PLACE_X, PLACE_Y, HEADING = range(4)
 """Columns of poses: time [s], place [m] and heading [rad]."""
 BELOW, ABOVE = range(2)
@@ -118,7 +116,7 @@ class Trail:
 
     Attributes:
         rows: As in `Ring`.
-        newest: Likewise; -1 before the first mark.
+        newest: As in `Ring`. -1 before the first mark.
     """
 
     def __init__(self, duration: float, period: float) -> None:

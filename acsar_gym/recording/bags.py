@@ -17,9 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acsar_gym import kinematics
 from acsar_gym.config import RobotConfig
+from acsar_gym.config.sections import WheelLetters
 from acsar_gym.errors import (
     ConfigError,
     LidarError,
@@ -28,11 +30,11 @@ from acsar_gym.errors import (
     show_value,
 )
 from acsar_gym.lidar.laser_scan import LaserScan, Mount, read_scan
-from acsar_gym.lidar.scan import ray_spec
+from acsar_gym.lidar.scan import Revolution, ray_spec
 from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Speeds, encode
 from acsar_gym.reading import open_file
-from acsar_gym.recording.bag_files import PACKED, BagFiles
+from acsar_gym.recording.bag_files import PACKED, BagFiles, BagMessage
 from acsar_gym.recording.blocks import MAGIC, find_block
 from acsar_gym.recording.events import Began, Event
 from acsar_gym.recording.messages import load_typestore, make_header
@@ -50,6 +52,7 @@ ROLES = {
     "scans": (("sensor_msgs/msg/LaserScan",), "/scan"),
 }
 """What is read of a bag: types, and the usual name of the topic."""
+SCAN_FIELDS = ("angle_min", "angle_increment", "range_min", "range_max")
 IDENTIFYING_BYTES = 5_000_000  # a recording of this package has its first block within these
 BATCH = 300  # events of a block
 MAX_TIME = 2**62  # times are smaller [ns]
@@ -105,19 +108,14 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
     header |= {"process": 0, "source": files.compute_hash()}
     header["created"] = {"wall": min(surveys[topic].start for topic in roles), "monotonic": 0}
     writer = RecordingWriter(target, robot, header)
-    tabulator = Tabulator()
+    tabulator = Tabulator([writer])
     for message in files.read_messages():
-        content = None
         if message.topic in roles and 0 <= message.time < MAX_TIME:
-            content = deserialize(message.data, message.kind)
-        if content is not None:
-            converter.take(roles[message.topic], message.time, content)
+            converter.take(roles[message.topic], message.time, deserialize(message))
         if len(converter.events) >= BATCH:
-            for head, tables in tabulator.add(converter.events):
-                writer.write(head, tables)
+            tabulator.add(converter.events)
             converter.events.clear()
-    for head, tables in tabulator.add(converter.finish(), is_last=True):
-        writer.write(head, tables)
+    tabulator.add([*converter.events, {"sent": converter.sent}], is_last=True)
     writer.close(0)
 
     if not converter.periods:
@@ -146,7 +144,7 @@ class TopicSurvey:
         self.joints: list[str] = []
         self.has_velocities = False
         self._largest = 0.0
-        self._times: list[float] = []
+        self._times: list[int] = []
 
     def add(self, time: int, content: Any) -> None:
         """Note joint states, up to the first message with velocities."""
@@ -154,7 +152,7 @@ class TopicSurvey:
         self.has_velocities = has_velocities(content)
         positions = [abs(position) for position in content.position if math.isfinite(position)]
         self._largest = max(self._largest, *positions, 0.0)
-        self._times.append(time / 1e9)
+        self._times.append(time)
 
     def check_wraps(self, name: str, robot: RobotConfig) -> bool:
         """Whether positions may wrap at full turns.
@@ -164,7 +162,7 @@ class TopicSurvey:
         """
         if self.has_velocities or self._largest >= WRAPPING_RANGE:
             return self.has_velocities
-        pause = float(np.median(np.diff(self._times))) if len(self._times) > 1 else 0.0
+        pause = float(np.median(np.diff(self._times))) / 1e9 if len(self._times) > 1 else 0.0
         if pause * robot.max_wheel_speed > math.pi:
             raise ConfigError(
                 f"{name} has positions without velocities, {1.0 / pause:.1f} times a "
@@ -185,16 +183,16 @@ def survey_topics(files: BagFiles) -> dict[str, TopicSurvey]:
     for message in files.read_messages():
         survey = surveys.setdefault(message.topic, TopicSurvey(message.kind, message.time))
         if message.kind == JOINT_STATE and not survey.has_velocities:
-            content = deserialize(message.data, message.kind)
+            content = deserialize(message)
             if content is not None:
                 survey.add(message.time, content)
     return surveys
 
 
-def deserialize(message: bytes, kind: str) -> Any:
+def deserialize(message: BagMessage) -> Any:
     """Decode a message. None if it is broken."""
     try:
-        return load_typestore().deserialize_cdr(message, kind)
+        return load_typestore().deserialize_cdr(message.data, message.kind)
     except Exception:  # noqa: BLE001 - a broken message can make it raise anything
         return None
 
@@ -213,13 +211,12 @@ def choose_topics(
     Raises:
         ConfigError: There are no wheel speeds, or several topics of a role.
     """
-    listing = ", ".join(f"{name} ({survey.kind})" for name, survey in sorted(surveys.items()))
+    topics = ", ".join(f"{name} ({survey.kind})" for name, survey in sorted(surveys.items()))
+    content = escape_unprintable(f"it has {topics}", 300)
     for name in wanted:
         if not any(is_below(topic, name) for topic in surveys):
-            listing = escape_unprintable(listing, 300)
-            raise ConfigError(f"{path}: has no topic {show_value(name)}: it has {listing}")
+            raise ConfigError(f"{path}: has no topic {show_value(name)}: {content}")
 
-    wheels = set(robot.ros_joints)
     chosen: dict[str, str] = {}
     for role, (kinds, usual) in ROLES.items():
         if role == "odometry" and chosen:
@@ -229,36 +226,34 @@ def choose_topics(
             for name, survey in surveys.items()
             if survey.kind in kinds
             and (not wanted or any(is_below(name, prefix) for prefix in wanted))
-            and (role != "joint states" or wheels <= {*survey.joints})
+            and (role != "joint states" or {*robot.ros_joints} <= {*survey.joints})
         ]
         names = [name for name in names if name.endswith(usual)] or names
         names = [name for name in names if name == usual] or names
         if len(names) > 1:
-            topics = escape_unprintable(", ".join(sorted(names)), 300)
             raise ConfigError(
-                f"{path}: has several topics with {role}: {topics}: "
+                f"{path}: has several topics with {role}: "
+                f"{escape_unprintable(', '.join(sorted(names)), 300)}: "
                 "choose with --topics NAME or --topics /NAMESPACE"
             )
         if names:
             chosen[role] = names[0]
 
     if not {"joint states", "odometry"} & set(chosen):
-        content = f"it has {listing}"
-        joints = [joint for survey in surveys.values() for joint in survey.joints]
+        joints = ", ".join(joint for survey in surveys.values() for joint in survey.joints)
         if joints:
-            listing = escape_unprintable(", ".join(joints), 200)
-            content = f"its joints are {listing}: write the wheels' into ros2.joints of --robot"
+            content = escape_unprintable(f"its joints are {joints}", 200)
+            content = f"{content}: write the wheels' into ros2.joints of --robot"
         raise ConfigError(
             f"{path}: has no wheel speeds, neither joint states of the robot's wheels nor an "
-            f"odometry: {escape_unprintable(content, 300)}"
+            f"odometry: {content}"
         )
     return chosen
 
 
 def is_below(topic: str, name: str) -> bool:
     """Whether a topic has a name, or is in a namespace of that name."""
-    plain = "/" + name.strip("/")
-    return topic == plain or topic.startswith(f"{plain}/")
+    return f"{topic}/".startswith(f"/{name.strip('/')}/")
 
 
 class BagConverter:
@@ -270,12 +265,14 @@ class BagConverter:
 
     Attributes:
         events: The events that were made.
+        sent: Command lines since the newest control period, with their times [s].
         periods: Number of control periods, which end with wheel speeds.
         refused: Number of joint states that can't be right, by reason.
     """
 
     def __init__(self, robot: RobotConfig, *, wraps: bool) -> None:
         self.events: list[Event] = []
+        self.sent: list[tuple[float, bytes]] = []
         self.periods = 0
         self._robot = robot
         self._odometry = Odometry.of(robot)
@@ -286,53 +283,48 @@ class BagConverter:
         self._first = -1
         self._newest = 0.0
         self._last_feedback = 0.0
-        self._sent: list[tuple[float, bytes]] = []
         self._asked = (math.nan, math.nan)
         self._has_moved = False
 
     def take(self, role: str, time: int, content: Any) -> None:
-        """Take a message of a role, which was recorded at a time [ns]."""
+        """Take a message of a role, which was recorded at a time [ns]. None is a broken message."""
+        if content is None:
+            return
         if self._first < 0:
             self._first = time
             self.events.append(Began(0.0, time, {}))
         self._newest = max(self._newest, (time - self._first) / 1e9)
-        if role == "commands":
-            self._take_command(content)
+        if role == "joint states":
+            self._end_period(self._read_joints(content))
+        elif role == "odometry":
+            self._end_period(self._read_twist(content.twist.twist))
         elif role == "scans":
             self._take_scan(content)
         else:
-            speeds = self._read_speeds(role, content)
+            twist = getattr(content, "twist", content)
+            speeds = self._read_twist(twist)
             if speeds is not None:
-                self._end_period(speeds)
+                self._asked = (float(twist.linear.x), float(twist.angular.z))
+                line = self._encode(speeds, self._robot.wheels.motors)
+                self.sent.append((self._newest, line))
 
-    def finish(self) -> list[Event]:
-        """Return the remaining events, with what was sent after the last wheel speeds."""
-        return [*self.events, {"sent": self._sent}]
-
-    def _take_command(self, content: Any) -> None:
-        twist = getattr(content, "twist", content)
-        command = (float(twist.linear.x), float(twist.angular.z))
-        if all(map(math.isfinite, command)):
-            self._asked = command
-            speeds = self._make_speeds(*command)
-            letters = self._robot.wheels.motors
-            line = encode(speeds if letters is None else letters.to_wire(speeds))
-            self._sent.append((self._newest, line))
-
-    def _make_speeds(self, linear: float, angular: float) -> Speeds:
+    def _read_twist(self, twist: Any) -> Speeds | None:
+        """Return the wheel speeds of a twist. None if it isn't finite."""
+        linear = float(twist.linear.x)
+        angular = float(twist.angular.z)
+        if not math.isfinite(linear + angular):
+            return None
         separation = self._robot.effective_separation
-        sides = kinematics.compute_sides(
+        right, left = kinematics.compute_sides(
             linear, angular, *self._robot.wheel_radii, separation, FASTEST_WHEEL
         )
-        return sides[0], sides[1], sides[1], sides[0]
+        return right, left, left, right
 
-    def _read_speeds(self, role: str, content: Any) -> Speeds | None:
-        """Return the wheel speeds of a message. None if it is refused, or has none."""
-        if role == "odometry":
-            twist = content.twist.twist
-            measured = (float(twist.linear.x), float(twist.angular.z))
-            return self._make_speeds(*measured) if all(map(math.isfinite, measured)) else None
+    def _encode(self, speeds: Speeds, letters: WheelLetters | None) -> bytes:
+        return encode(letters.to_wire(speeds) if letters else speeds)
 
+    def _read_joints(self, content: Any) -> Speeds | None:
+        """Return the wheel speeds of joint states. None if they are refused, or have none."""
         # A joint_state_publisher that runs beside the robot's own publisher.
         has_position = bool(np.any(content.position))
         if self._has_moved and not has_position and not has_velocities(content):
@@ -350,15 +342,15 @@ class BagConverter:
             return None
         return speeds
 
-    def _end_period(self, speeds: Speeds) -> None:
-        """A feedback line, and the tick that it ends."""
+    def _end_period(self, speeds: Speeds | None) -> None:
+        """Add a feedback line of wheel speeds, and the tick that it ends."""
+        if speeds is None:
+            return
         stamp = self._newest
         self._odometry.update(speeds, stamp - self._last_feedback)
         self._last_feedback = stamp
-        letters = self._robot.wheels.encoders
-        line = encode(speeds if letters is None else letters.to_wire(speeds))
+        line = self._encode(speeds, self._robot.wheels.encoders)
 
-        sent = self._asked if math.isfinite(self._asked[0]) else (0.0, 0.0)
         tick = (
             self.periods,
             stamp,
@@ -367,35 +359,28 @@ class BagConverter:
             speeds,
             self._odometry.wheel_positions,
             self._asked,
-            sent,
+            np.nan_to_num(self._asked),
             0,
             None,
             0.0,
             0,
         )
-        exchange = (self.periods, stamp, len(self._sent), 1, None, *UNKNOWN_TRUTH)
         self.events.append(
             {
-                "exchanges": exchange,
-                "sent": self._sent,
+                "exchanges": (self.periods, stamp, len(self.sent), 1, None, *UNKNOWN_TRUTH),
+                "sent": self.sent,
                 "received": [(stamp, line)],
                 "ticks": tick,
             }
         )
         self.periods += 1
-        self._sent = []
+        self.sent = []
 
     def _take_scan(self, content: Any) -> None:
-        """A scan, sorted into the rays of the robot's LiDAR, and as it was measured."""
+        """Add a scan, sorted into the rays of the robot's LiDAR, and as it was measured."""
+        fields = {name: float(getattr(content, name)) for name in SCAN_FIELDS}
         scan = LaserScan(
-            angle_min=float(content.angle_min),
-            angle_increment=float(content.angle_increment),
-            time_increment=0.0,
-            scan_time=0.0,
-            range_min=float(content.range_min),
-            range_max=float(content.range_max),
-            ranges=content.ranges,
-            stamp=self._newest,
+            **fields, time_increment=0.0, scan_time=0.0, ranges=content.ranges, stamp=self._newest
         )
         try:
             revolution = read_scan(scan, Mount(), "scan", timeout=math.inf)
@@ -404,18 +389,22 @@ class BagConverter:
         if not self.periods:
             return
 
+        row = (self.periods - 1, self._newest)
+        self.events.append(
+            {
+                "scans": row,
+                "ranges": self._sort_into_rays(revolution),
+                "revolutions": (*row, len(revolution.times)),
+                "measurements": revolution[:3],
+            }
+        )
+
+    def _sort_into_rays(self, revolution: Revolution) -> NDArray[np.float64]:
+        """Return the shortest distance in the direction of each ray."""
         spec = self._spec
         ranges = np.full(spec.rays, spec.reach)
         offsets = np.mod(revolution.bearings - spec.angles()[0] + spec.step / 2.0, math.tau)
         rays = np.floor(offsets / spec.step).astype(int)
         hits = (revolution.distances > 0.0) & (rays < spec.rays)
         np.minimum.at(ranges, rays[hits], revolution.distances[hits])
-        scan_row = (self.periods - 1, self._newest)
-        self.events.append(
-            {
-                "scans": scan_row,
-                "ranges": ranges,
-                "revolutions": (*scan_row, len(revolution.times)),
-                "measurements": revolution[:3],
-            }
-        )
+        return ranges

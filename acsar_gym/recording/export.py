@@ -12,14 +12,14 @@ import numpy as np
 
 from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, require_extra, show_value
 from acsar_gym.reading import replace_file
-from acsar_gym.recording.events import Table, Tables, split_columns
-from acsar_gym.recording.reader import join_truth, read, split_pieces
-from acsar_gym.recording.types import Recording
+from acsar_gym.recording.events import Table, split_columns
+from acsar_gym.recording.reader import read
+from acsar_gym.recording.types import Episode, Recording, split_pieces
 
 TABLE_FORMATS = ("parquet", "csv")
-EXPORTED = ("ticks", "wire", "steps", "scans", "movers")
 TRUTH = ("true_x", "true_y", "true_theta")
 MOVER_STATE = ("x", "y", "x_rate", "y_rate", "radius")
+DIRECTIONS = ("sent", "received")
 TableColumns = dict[str, Any]
 """Arrays of one length by name."""
 
@@ -43,38 +43,29 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         raise ConfigError(f"--to {show_value(to)}: must be one of {', '.join(TABLE_FORMATS)}")
     recording = read(path)
     if recording.cut:
-        state = "the last episode is incomplete"
-        state = state if is_incomplete(recording) else "what followed is missing"
-        warnings.warn(f"{path}: the file is cut: {state}", RecordingWarning, stacklevel=2)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return _write_tables(recording, to, folder)
-    except OSError as error:
-        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error
-
-
-def _write_tables(recording: Recording, to: str, folder: Path) -> list[Path]:
+        loss = "the last episode is incomplete"
+        loss = loss if recording.is_incomplete else "what followed is missing"
+        warnings.warn(f"{path}: the file is cut: {loss}", RecordingWarning, stacklevel=2)
     with require_extra("export of tables", "export"):
         import pyarrow as pa  # noqa: PLC0415 - optional
         from pyarrow import csv, parquet  # noqa: PLC0415 - optional
 
     make_writer = parquet.ParquetWriter if to == "parquet" else csv.CSVWriter
     writers: dict[str, Any] = {}
-    with contextlib.ExitStack() as stack:
-        for name, columns in iterate_tables(recording):
-            table = pa.table(columns)
-            if not len(table):
-                continue
-            if name not in writers:
-                path = stack.enter_context(replace_file(folder / f"{name}.{to}"))
-                writers[name] = stack.enter_context(make_writer(path, table.schema))
-            writers[name].write_table(table)
-    return [folder / f"{name}.{to}" for name in EXPORTED if name in writers]
-
-
-def is_incomplete(recording: Recording) -> bool:
-    """Whether the last episode is incomplete, because the file is cut."""
-    return recording.cut and not recording.episodes[-1].terminated
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with contextlib.ExitStack() as stack:
+            for name, columns in iterate_tables(recording):
+                table = pa.table(columns)
+                if not len(table):
+                    continue
+                if name not in writers:
+                    new = stack.enter_context(replace_file(folder / f"{name}.{to}"))
+                    writers[name] = stack.enter_context(make_writer(new, table.schema))
+                writers[name].write_table(table)
+    except OSError as error:
+        raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error
+    return [folder / f"{name}.{to}" for name in writers]
 
 
 def make_tables(recording: Recording) -> dict[str, TableColumns]:
@@ -100,8 +91,8 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
     """Yield names and rows of tables, in parts of moderate size. See `make_tables`."""
     names: dict[str, list[str]] = {}
     for number, episode in enumerate(recording.episodes):
-        for tables in episode.tables.split():
-            for name, columns in _list_tables(tables):
+        for part in episode.split():
+            for name, columns in _list_tables(part):
                 stamps = columns["stamp"]
                 if len(stamps) and names.setdefault(name, list(columns)) != list(columns):
                     raise ConfigError(f"the episodes have different {name}: they fit no table")
@@ -109,40 +100,32 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
                 yield name, {"episode": np.full(len(stamps), number), "time": times, **columns}
 
 
-def _list_tables(tables: Tables) -> Iterator[tuple[str, TableColumns]]:
+def _list_tables(part: Episode) -> Iterator[tuple[str, TableColumns]]:
     """Yield names and columns of the exported tables."""
-    truth = dict(zip(TRUTH, join_truth(tables).T, strict=True))
+    tables = part.tables
+    truth = dict(zip(TRUTH, part.truth.T, strict=True))
     yield "ticks", split_columns(tables["ticks"]) | truth
-    yield "wire", _list_wire(tables)
+
+    # A row for each piece of bytes, in the order of time.
+    pieces = [piece for name in DIRECTIONS for piece in split_pieces(tables, name)]
+    stamps = np.concatenate([tables[name]["stamp"] for name in DIRECTIONS])
+    order = np.argsort(stamps, kind="stable")
+    directions = np.repeat(DIRECTIONS, [len(tables[name]) for name in DIRECTIONS])
+    texts = [pieces[row].decode("latin-1") for row in order]
+    yield "wire", {"stamp": stamps[order], "direction": directions[order], "bytes": texts}
+
     numbers = _number("action", tables["actions"]) | _number("observation", tables["observations"])
     yield "steps", split_columns(tables["steps"]) | numbers
     yield "scans", split_columns(tables["scans"]) | _number("range", tables["ranges"])
 
     # One row for each mover and control period.
-    states = tables["mover_states"]
-    periods, count, size = states.shape
-    stamps = np.repeat(tables["movers"]["stamp"], count)
+    periods, count, size = part.movers.states.shape
+    stamps = np.repeat(part.movers.stamps, count)
     movers = {"stamp": stamps, "mover": np.tile(np.arange(count), periods)}
-    yield "movers", movers | dict(zip(MOVER_STATE, states.reshape(-1, size).T, strict=True))
+    states = part.movers.states.reshape(-1, size).T
+    yield "movers", movers | dict(zip(MOVER_STATE, states, strict=True))
 
 
 def _number(name: str, table: Table) -> TableColumns:
     """The columns of a table of plain numbers: action_0, action_1."""
     return {f"{name}_{number}": column for number, column in enumerate(table.T)}
-
-
-def _list_wire(tables: Tables) -> TableColumns:
-    """A row for each piece of bytes, in the order of time."""
-    rows = [
-        (stamp, direction, piece.decode("latin-1"))
-        for direction in ("sent", "received")
-        for stamp, piece in zip(
-            tables[direction]["stamp"].tolist(), split_pieces(tables, direction), strict=True
-        )
-    ]
-    rows.sort(key=lambda row: row[0])
-    return {
-        "stamp": np.array([stamp for stamp, _, _ in rows], np.float64),
-        "direction": [direction for _, direction, _ in rows],
-        "bytes": [text for _, _, text in rows],
-    }

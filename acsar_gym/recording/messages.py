@@ -24,7 +24,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from importlib import metadata
 from typing import Any, NamedTuple
@@ -39,7 +39,7 @@ from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
 from acsar_gym.protocol import WHEELS
 from acsar_gym.recording.blocks import FORMAT
-from acsar_gym.recording.events import Table, Tables, split_columns
+from acsar_gym.recording.events import Table, Tables
 
 Floats = NDArray[np.float64]
 
@@ -51,8 +51,18 @@ SHOWN_RATE = 10.0  # how often a second reasons, lateness and movers are shown [
 NODE_NAME = "acsar_gym"  # what reports errors
 LOG_ERROR = 40  # level of a rcl_interfaces/msg/Log
 MARKER_HEIGHT = 1.7  # of the cylinder that shows a mover [m]
-MARKER_COLOUR = {"r": 0.56, "g": 0.27, "b": 0.68, "a": 0.8}
+MARKER_COLOUR = {"color.r": 0.56, "color.g": 0.27, "color.b": 0.68, "color.a": 0.8}
 CYLINDER = 3  # type of a marker
+WORST = {"/safety_reason": "reason", "/lateness": "lateness", "/feedback_age": "feedback_age"}
+LATCHED = ("/tf_static",)
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+JOINTS = "sensor_msgs/msg/JointState"
+SCAN = "sensor_msgs/msg/LaserScan"
+TWIST = "geometry_msgs/msg/Twist"
+MARKERS = "visualization_msgs/msg/MarkerArray"
+FLOATS = "std_msgs/msg/Float32MultiArray"
 UNMEASURED_VARIANCE = 1e3
 """Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
 takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
@@ -138,39 +148,37 @@ def define(kind: str) -> bytes:
     return text.encode()
 
 
-def make_blank(kind: str, **fixed: Any) -> Any:
+def make_message(kind: str, **fields: Any) -> Any:
     """Make a message of zeros and empty lists, such as of "std_msgs/msg/Header".
 
     Args:
         kind: Type of the message.
-        fixed: Fields that have another value.
+        fields: Fields that have another value, by their paths, such as "pose.position.x".
     """
     store = load_typestore()
-    fields: dict[str, Any] = {}
+    blank: dict[str, Any] = {}
     for name, (node, details) in store.fielddefs[kind][1]:
         if node.name == "NAME":
-            fields[name] = make_blank(details)
+            blank[name] = make_message(details)
         elif node.name == "BASE":
-            fields[name] = {"string": "", "bool": False}.get(details[0], 0)
+            blank[name] = {"string": "", "bool": False}.get(details[0], 0)
         else:
             (element, base), length = details
             is_plain = element.name == "BASE" and base[0] != "string"
-            fields[name] = np.zeros(length, base[0]) if is_plain else []
-    return store.types[kind](**fields | fixed)
+            blank[name] = np.zeros(length, base[0]) if is_plain else []
+
+    message = store.types[kind](**blank)
+    for path, value in fields.items():
+        setattr(*find_field(message, path), value)
+    return message
 
 
-def split_path(message: Any, path: str) -> tuple[Any, str]:
+def find_field(message: Any, path: str) -> tuple[Any, str]:
     """Return the owner and the name of a field such as "pose.position.x" or "markers.0.id"."""
     *parents, name = path.split(".")
     for parent in parents:
         message = message[int(parent)] if parent.isdigit() else getattr(message, parent)
     return message, name
-
-
-def set_field(message: Any, path: str, value: Any) -> None:
-    """Set a field by its path."""
-    owner, name = split_path(message, path)
-    setattr(owner, name, value)
 
 
 def find_stamped(message: Any) -> Iterator[Any]:
@@ -188,22 +196,18 @@ class Template:
     The place of a number is found by serializing the message without it and with it.
 
     Args:
-        kind: Type of the messages.
-        fixed: Fields that are the same in all messages, by path.
+        message: A message of the form.
         numbers: Columns of numbers by path, with a row for each message.
     """
 
-    def __init__(self, kind: str, fixed: Mapping[str, Any], numbers: Mapping[str, Table]) -> None:
-        message = make_blank(kind)
-        for path, value in fixed.items():
-            set_field(message, path, value)
-        fields = [split_path(message, path) for path in numbers]
+    def __init__(self, message: Any, numbers: Mapping[str, Table]) -> None:
+        fields = [find_field(message, path) for path in numbers]
         for (owner, name), column in zip(fields, numbers.values(), strict=True):
             if column.ndim > 1:  # a list, which has a length from now on
                 setattr(owner, name, np.zeros(column.shape[1:], getattr(owner, name).dtype))
         stamped = list(find_stamped(message))
         fields += [(owner.stamp, name) for owner in stamped for name in ("sec", "nanosec")]
-        serialize = partial(load_typestore().serialize_cdr, message, kind)
+        serialize = partial(load_typestore().serialize_cdr, message, message.__msgtype__)
         self._plain = np.frombuffer(serialize(), np.uint8)
         self._stamps = len(stamped)
         self._places: list[tuple[str, int]] = []
@@ -221,7 +225,7 @@ class Template:
             self._places.append((f"<{'i' if is_integer else 'f'}{size}", int(places[0])))
 
     def _add_stamps(self, numbers: Mapping[str, Table], times: NDArray[np.int64]) -> list[Table]:
-        return [*numbers.values(), *self._stamps * [times // NANOSECONDS, times % NANOSECONDS]]
+        return [*numbers.values(), *self._stamps * np.divmod(times, NANOSECONDS)]
 
     def fill(self, times: NDArray[np.int64], numbers: Mapping[str, Table]) -> list[bytes]:
         """Make one message for each time [ns], with a row of the numbers."""
@@ -233,101 +237,99 @@ class Template:
         return [message.tobytes() for message in messages]
 
 
-POSE = {
-    "pose.pose.position.x": "x",
-    "pose.pose.position.y": "y",
-    "pose.pose.orientation.z": "sin",
-    "pose.pose.orientation.w": "cos",
-    "twist.twist.linear.x": "linear",
-    "twist.twist.angular.z": "angular",
-}
-TRANSFORM = {
-    "transforms.0.transform.translation.x": "x",
-    "transforms.0.transform.translation.y": "y",
-    "transforms.0.transform.rotation.z": "sin",
-    "transforms.0.transform.rotation.w": "cos",
-}
-JOINTS = {"position": "angles", "velocity": "speeds"}
-ASKED = {"linear.x": "asked_linear", "angular.z": "asked_angular"}
-SENT = {"linear.x": "sent_linear", "angular.z": "sent_angular"}
-WALL_TIME = {"time_ref.sec": "sec", "time_ref.nanosec": "nanosec"}
+class Series(NamedTuple):
+    """Messages of a topic: one for each row, unless its first numbers are NaN."""
 
-
-class Topic(NamedTuple):
-    """A topic: one message for each row of a table of `list_shown`, unless its numbers are NaN."""
-
+    topic: str
     kind: str
-    table: str
-    numbers: Mapping[str, str] | None = None
-    """Column of each number of the message, by its path. None if columns are named by paths."""
+    stamps: Floats
+    """(n,) [s]."""
+    numbers: Mapping[str, Table]
+    """Columns (n, ...) of numbers, by path."""
+    fix: Callable[[], Mapping[str, Any]] = dict
+    """Returns what is the same in all messages, by path."""
 
 
-TOPICS = {
-    "/odom": Topic("nav_msgs/msg/Odometry", "ticks", POSE),
-    "/tf": Topic("tf2_msgs/msg/TFMessage", "ticks", TRANSFORM),
-    "/tf_static": Topic("tf2_msgs/msg/TFMessage", "resets", {}),
-    "/joint_states": Topic("sensor_msgs/msg/JointState", "ticks", JOINTS),
-    "/cmd_vel": Topic("geometry_msgs/msg/Twist", "ticks", ASKED),
-    "/cmd_vel_sent": Topic("geometry_msgs/msg/Twist", "ticks", SENT),
-    "/safety_reason": Topic("std_msgs/msg/Float64", "worst", {"data": "reason"}),
-    "/lateness": Topic("std_msgs/msg/Float64", "worst", {"data": "lateness"}),
-    "/feedback_age": Topic("std_msgs/msg/Float64", "worst", {"data": "feedback_age"}),
-    "/scan": Topic("sensor_msgs/msg/LaserScan", "scans"),
-    "/truth": Topic("nav_msgs/msg/Odometry", "exchanges", POSE),
-    "/movers": Topic("visualization_msgs/msg/MarkerArray", "movers"),
-    "/observation": Topic("std_msgs/msg/Float32MultiArray", "steps", {"data": "observation"}),
-    "/action": Topic("std_msgs/msg/Float32MultiArray", "steps", {"data": "action"}),
-    "/time_reference": Topic("sensor_msgs/msg/TimeReference", "clocks", WALL_TIME),
-    "/rosout": Topic("rcl_interfaces/msg/Log", "faults", {}),
-}
-LATCHED = ("/tf_static",)
-
-
-def list_shown(
-    tables: Tables, head: Mapping[str, Any], config: RobotConfig
-) -> dict[str, dict[str, Table]]:
-    """Return columns of what is shown of a block, with a `stamp` of each row [s]."""
-    ticks = tables["ticks"]
-    clocks = tables["clocks"]
-    steps = {"observation": tables["observations"], "action": tables["actions"]}
-    ranges = tables["ranges"]
-    reach = config.lidar.max_range
-
-    shown = {
-        "ticks": {**_split_poses(ticks), "angles": ticks["angles"], "speeds": ticks["speeds"]},
-        "exchanges": _split_poses(tables["exchanges"]),
-        "steps": {"stamp": tables["steps"]["stamp"], **steps},
-        "scans": {
-            "stamp": tables["scans"]["stamp"],
-            "ranges": np.where(ranges >= reach, np.inf, ranges).astype(np.float32),
-        },
-        "clocks": {
-            "stamp": clocks["stamp"],
-            "sec": clocks["wall"] // NANOSECONDS,
-            "nanosec": clocks["wall"] % NANOSECONDS,
-        },
-        "resets": {"stamp": clocks["stamp"][clocks["stamp"] == head["start"]]},
-        "faults": {"stamp": tables["faults"]["stamp"][:1]},  # several in a block are one message
-    }
-
+def list_series(tables: Tables, head: Mapping[str, Any], config: RobotConfig) -> Iterator[Series]:
+    """Yield what is shown of a block, topic by topic."""
     every = max(1, round(config.control_rate / SHOWN_RATE))
+    ticks = tables["ticks"]
     if len(ticks):
-        begins = np.arange(0, len(ticks), every)
-        names = ("reason", "lateness", "feedback_age")
-        worst = {name: np.fmax.reduceat(ticks[name].astype(float), begins) for name in names}
-        shown["worst"] = {"stamp": ticks["stamp"][begins], **worst}
-    if len(tables["movers"]):
-        rows = tables["movers"]["exchange"] % every == 0
-        states = tables["mover_states"][rows]
-        shown["movers"] = {"stamp": tables["movers"]["stamp"][rows], **_place_movers(states, head)}
-    return shown
+        yield from _show_ticks(ticks, config, every)
+    clocks = tables["clocks"]
+    resets = clocks["stamp"][clocks["stamp"] == head["start"]]
+    yield Series("/tf_static", TRANSFORMS, resets, {}, partial(_fix_mounts, config))
+    ranges = tables["ranges"]
+    shown = np.where(ranges >= config.lidar.max_range, np.inf, ranges).astype(np.float32)
+    yield Series(
+        "/scan", SCAN, tables["scans"]["stamp"], {"ranges": shown}, partial(_fix_scan, config)
+    )
+
+    exchanges = tables["exchanges"]
+    fix_truth = partial(_fix_odometry, WORLD_FRAME)
+    yield Series("/truth", ODOMETRY, exchanges["stamp"], _list_odometry(exchanges), fix_truth)
+    movers = tables["movers"]
+    rows = movers["exchange"] % every == 0
+    states = tables["mover_states"][rows]
+    if len(states):
+        fix_movers = partial(_fix_movers, config, states.shape[1])
+        yield Series(
+            "/movers", MARKERS, movers["stamp"][rows], _place_movers(states, head), fix_movers
+        )
+
+    steps = tables["steps"]["stamp"]
+    yield Series("/observation", FLOATS, steps, {"data": tables["observations"]})
+    yield Series("/action", FLOATS, steps, {"data": tables["actions"]})
+    seconds, nanoseconds = np.divmod(clocks["wall"], NANOSECONDS)
+    wall = {"time_ref.sec": seconds, "time_ref.nanosec": nanoseconds}
+    yield Series(
+        "/time_reference",
+        "sensor_msgs/msg/TimeReference",
+        clocks["stamp"],
+        wall,
+        lambda: {"source": "wall clock"},
+    )
+    text = tables["faults_bytes"].tobytes().decode()
+    newest = tables["faults"]["stamp"][:1]  # several in a block are one message
+    fault = {"level": LOG_ERROR, "name": NODE_NAME, "msg": text}
+    yield Series("/rosout", "rcl_interfaces/msg/Log", newest, {}, lambda: fault)
 
 
-def _split_poses(table: Table) -> dict[str, Table]:
-    """Columns of a table with poses, and those of their quaternions."""
-    columns = split_columns(table)
-    half = columns["theta"] / 2.0
-    return {**columns, "sin": np.sin(half), "cos": np.cos(half)}
+def _show_ticks(ticks: Table, config: RobotConfig, every: int) -> Iterator[Series]:
+    """Yield what is shown of ticks: each of them, and the worst of some as plain numbers."""
+    stamps = ticks["stamp"]
+    fix_odometry = partial(_fix_odometry, config.odom_frame)
+    yield Series("/odom", ODOMETRY, stamps, _list_odometry(ticks), fix_odometry)
+    moved = _list_pose(
+        ticks, "transforms.0.transform.translation", "transforms.0.transform.rotation"
+    )
+    fix_frames = partial(_fix_transforms, (config.odom_frame, BASE_FOOTPRINT))
+    yield Series("/tf", TRANSFORMS, stamps, moved, fix_frames)
+    joints = {"position": ticks["angles"], "velocity": ticks["speeds"]}
+    yield Series("/joint_states", JOINTS, stamps, joints, lambda: {"name": JOINT_NAMES})
+    yield Series("/cmd_vel", TWIST, stamps, _list_twist(ticks["asked"]))
+    yield Series("/cmd_vel_sent", TWIST, stamps, _list_twist(ticks["sent"]))
+
+    firsts = np.arange(0, len(ticks), every)
+    for topic, name in WORST.items():
+        worst = np.fmax.reduceat(ticks[name].astype(float), firsts)
+        yield Series(topic, "std_msgs/msg/Float64", stamps[firsts], {"data": worst})
+
+
+def _list_pose(table: Table, place: str, turn: str) -> dict[str, Table]:
+    """The numbers of poses, whose place and quaternion have these paths."""
+    x, y, theta = table["pose"].T
+    half = theta / 2.0
+    return {f"{place}.x": x, f"{place}.y": y, f"{turn}.z": np.sin(half), f"{turn}.w": np.cos(half)}
+
+
+def _list_twist(twists: Table, path: str = "") -> dict[str, Table]:
+    return {f"{path}linear.x": twists[:, 0], f"{path}angular.z": twists[:, 1]}
+
+
+def _list_odometry(table: Table) -> dict[str, Table]:
+    pose = _list_pose(table, "pose.pose.position", "pose.pose.orientation")
+    return pose | _list_twist(table["twist"], "twist.twist.")
 
 
 def _place_movers(states: Table, head: Mapping[str, Any]) -> dict[str, Table]:
@@ -343,76 +345,70 @@ def _place_movers(states: Table, head: Mapping[str, Any]) -> dict[str, Table]:
     return columns
 
 
-def fix_fields(tables: Tables, config: RobotConfig) -> dict[str, dict[str, Any]]:
-    """Return what is the same in all messages of a topic, by path."""
+def _fix_odometry(frame: str) -> dict[str, Any]:
     pose, twist = make_covariances()
-    odometry = {
-        "header.frame_id": config.odom_frame,
+    return {
+        "header.frame_id": frame,
         "child_frame_id": BASE_FOOTPRINT,
         "pose.covariance": pose,
         "twist.covariance": twist,
     }
-    lidar = config.lidar
-    spec = ray_spec(config)
-    angles = spec.angles()
-    axle = (0.0, 0.0, config.wheel_radius)
-    mount = (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset)
 
+
+def _fix_transforms(*frames: tuple[str, str]) -> dict[str, Any]:
+    """Transforms from the second to the first of frames, all zero."""
+    kind = "geometry_msgs/msg/TransformStamped"
     return {
-        "/odom": odometry,
-        "/truth": odometry | {"header.frame_id": WORLD_FRAME},
-        "/tf": {"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]},
-        "/tf_static": {
-            "transforms": [
-                _make_transform(BASE_FOOTPRINT, config.base_frame, axle, turn=1.0),
-                _make_transform(config.base_frame, config.lidar_frame, mount, turn=1.0),
-            ]
-        },
-        "/joint_states": {"name": JOINT_NAMES},
-        # All rays are as from the robot's pose at the stamp: no time passes between them.
-        "/scan": {
-            "header.frame_id": config.lidar_frame,
-            "angle_min": angles[0],
-            "angle_max": angles[-1],
-            "angle_increment": spec.step,
-            "scan_time": 1.0 / lidar.rate,
-            "range_min": lidar.min_range,
-            "range_max": lidar.max_range,
-        },
-        "/movers": {
-            "markers": [
-                _make_marker(number, config) for number in range(tables["mover_states"].shape[1])
-            ]
-        },
-        "/time_reference": {"source": "wall clock"},
-        "/rosout": {
-            "level": LOG_ERROR,
-            "name": NODE_NAME,
-            "msg": tables["faults_bytes"].tobytes().decode(),
-        },
+        "transforms": [
+            make_message(kind, **{"header.frame_id": parent, "child_frame_id": child})
+            for parent, child in frames
+        ]
     }
 
 
-def _make_transform(
-    parent: str, child: str, place: Sequence[float] = (0.0, 0.0, 0.0), turn: float = 0.0
-) -> Any:
-    transform = make_blank("geometry_msgs/msg/TransformStamped", child_frame_id=child)
-    transform.header.frame_id = parent
-    transform.transform.rotation.w = turn
-    for axis, value in zip("xyz", place, strict=True):
-        set_field(transform, f"transform.translation.{axis}", float(value))
-    return transform
+def _fix_mounts(config: RobotConfig) -> dict[str, Any]:
+    """The places of base and LiDAR."""
+    base = config.base_frame
+    fixed = _fix_transforms((BASE_FOOTPRINT, base), (base, config.lidar_frame))
+    axle = (0.0, 0.0, config.wheel_radius)
+    mount = (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset)
+    for stamped, place in zip(fixed["transforms"], (axle, mount), strict=True):
+        stamped.transform.rotation.w = 1.0
+        stamped.transform.translation = make_message(
+            "geometry_msgs/msg/Vector3", **dict(zip("xyz", place, strict=True))
+        )
+    return fixed
 
 
-def _make_marker(number: int, config: RobotConfig) -> Any:
-    """A cylinder for a mover."""
-    marker = make_blank("visualization_msgs/msg/Marker", ns="movers", id=number, type=CYLINDER)
-    marker.header.frame_id = config.odom_frame
-    marker.color = make_blank("std_msgs/msg/ColorRGBA", **MARKER_COLOUR)
-    marker.pose.orientation.w = 1.0
-    marker.pose.position.z = MARKER_HEIGHT / 2.0
-    marker.scale.z = MARKER_HEIGHT
-    return marker
+def _fix_scan(config: RobotConfig) -> dict[str, Any]:
+    """All rays are as from the robot's pose at the stamp: no time passes between them."""
+    lidar = config.lidar
+    spec = ray_spec(config)
+    angles = spec.angles()
+    return {
+        "header.frame_id": config.lidar_frame,
+        "angle_min": angles[0],
+        "angle_max": angles[-1],
+        "angle_increment": spec.step,
+        "scan_time": 1.0 / lidar.rate,
+        "range_min": lidar.min_range,
+        "range_max": lidar.max_range,
+    }
+
+
+def _fix_movers(config: RobotConfig, count: int) -> dict[str, Any]:
+    """A cylinder for each mover."""
+    fields = {
+        "header.frame_id": config.odom_frame,
+        "ns": "movers",
+        "type": CYLINDER,
+        "pose.position.z": MARKER_HEIGHT / 2.0,
+        "pose.orientation.w": 1.0,
+        "scale.z": MARKER_HEIGHT,
+        **MARKER_COLOUR,
+    }
+    kind = "visualization_msgs/msg/Marker"
+    return {"markers": [make_message(kind, id=number, **fields) for number in range(count)]}
 
 
 class Publisher:
@@ -424,18 +420,13 @@ class Publisher:
 
     def make_messages(
         self, head: Mapping[str, Any], tables: Tables
-    ) -> Iterator[tuple[str, int, bytes]]:
-        """Yield topic, time [ns] and content of the messages of a block. See `Sink.write`."""
-        shown = list_shown(tables, head, self._config)
-        for name, topic in TOPICS.items():
-            columns = dict(shown.get(topic.table, {"stamp": np.zeros(0)}))
-            stamps = columns.pop("stamp")
-            if not len(stamps):
-                continue
-            paths = topic.numbers
-            numbers = columns if paths is None else {p: columns[paths[p]] for p in paths}
+    ) -> Iterator[tuple[Series, int, bytes]]:
+        """Yield series, time [ns] and content of the messages of a block. See `Sink.write`."""
+        for series in list_series(tables, head, self._config):
+            stamps = series.stamps
+            numbers = dict(series.numbers)
             for column in list(numbers.values())[:1]:
-                is_known = ~np.isnan(column.reshape(len(stamps), -1)).all(axis=1)
+                is_known = ~np.isnan(column).all(axis=tuple(range(1, column.ndim)))
                 stamps = stamps[is_known]
                 numbers = {path: values[is_known] for path, values in numbers.items()}
             if not len(stamps):
@@ -443,12 +434,12 @@ class Publisher:
 
             # Messages of one form differ in their numbers only.
             shapes = [values.shape[1:] for values in numbers.values()]
-            form = (name, tables["faults_bytes"].tobytes(), *shapes)
+            form = (series.topic, tables["faults_bytes"].tobytes(), *shapes)
             if form not in self._templates:
-                fixed = fix_fields(tables, self._config).get(name, {})
-                self._templates[form] = Template(topic.kind, fixed, numbers)
+                message = make_message(series.kind, **series.fix())
+                self._templates[form] = Template(message, numbers)
             times = np.rint(stamps * 1e9).astype(np.int64) + head["offset"]
             times = np.maximum(times, 0)
             messages = self._templates[form].fill(times, numbers)
             for moment, data in zip(times.tolist(), messages, strict=True):
-                yield name, moment, data
+                yield series, moment, data

@@ -5,8 +5,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -29,15 +28,7 @@ from acsar_gym.recording.blocks import (
     unpack_table,
 )
 from acsar_gym.recording.events import DOUBLES, TABLES, Table, Tables
-from acsar_gym.recording.types import (
-    Episode,
-    Floats,
-    Movers,
-    Recording,
-    Revolutions,
-    Scans,
-    WireLog,
-)
+from acsar_gym.recording.types import Episode, Recording
 
 PART_BLOCKS = 20  # blocks of an episode that are exported or shown at once
 SHOWN_EPISODES = 20  # most episodes of which a summary has a line
@@ -125,122 +116,6 @@ def check_table(name: str, table: Table) -> None:
         raise ConfigError(f"is damaged: {problem}")
 
 
-def split_pieces(tables: Tables, name: str) -> tuple[bytes, ...]:
-    """Return the pieces of bytes of two tables. Raises ConfigError if some bytes are missing."""
-    data = tables[f"{name}_bytes"].tobytes()
-    ends = np.cumsum(tables[name]["size"]).tolist()
-    if sum(ends[-1:]) != len(data):
-        raise ConfigError(f"is damaged: some bytes of {name} are missing")
-    return tuple(data[first:end] for first, end in pairwise([0, *ends]))
-
-
-def join_truth(tables: Tables) -> Floats:
-    """Return the true poses (n, 3) at the ends of the exchanges of ticks. NaN if unknown."""
-    exchanges = tables["exchanges"]
-    wanted = tables["ticks"]["exchange"]
-    truth = np.full((len(wanted), 3), np.nan)
-    if len(exchanges):
-        places = np.searchsorted(exchanges["number"][:-1], wanted)
-        is_recorded = exchanges["number"][places] == wanted
-        truth[is_recorded] = exchanges["pose"][places[is_recorded]]
-    return truth
-
-
-class TableEpisode(Episode):
-    """An episode whose fields are made of its tables when they are needed."""
-
-    head: Head
-
-    @classmethod
-    def of(cls, head: Head, tables: Tables) -> TableEpisode:
-        """Make the episode, or a part of it.
-
-        Args:
-            head: How it began, and what its newest step was.
-            tables: Its tables.
-        """
-        episode = object.__new__(cls)
-        terminated, truncated, success = head.outcome or (False, False, None)
-        episode.__dict__.update(
-            head=head,
-            start=head.start,
-            offset=head.offset,
-            info=head.info,
-            terminated=terminated,
-            truncated=truncated,
-            success=success,
-            tables=tables,
-        )
-        return episode
-
-    def split(self) -> Iterator[TableEpisode]:
-        """Yield the episode in parts, to read it piece by piece."""
-        for tables in self.tables.split():
-            yield TableEpisode.of(self.head, tables)
-
-    def __getattr__(self, name: str) -> Any:
-        """Make a field that is used for the first time."""
-        if name not in FIELDS:
-            raise AttributeError(name)
-        value = self.__dict__[name] = FIELDS[name](self)
-        return value
-
-    def __repr__(self) -> str:
-        return f"<episode from {self.start:g} s on>"
-
-
-Maker = Callable[[Episode], Any]
-
-
-def _column(table: str, column: str) -> Maker:
-    return lambda episode: episode.tables[table][column]
-
-
-def _make_wire(episode: Episode) -> WireLog:
-    tables = episode.tables
-    return WireLog(
-        sent_stamps=tables["sent"]["stamp"],
-        sent=split_pieces(tables, "sent"),
-        got_stamps=tables["received"]["stamp"],
-        got=split_pieces(tables, "received"),
-        stamped=bool(episode.info.get("stamped")),
-    )
-
-
-def _make_scans(episode: Episode) -> Scans:
-    scans = episode.tables["scans"]
-    return Scans(scans["stamp"], episode.tables["ranges"], scans["exchange"])
-
-
-def _after_reset(values: Table, episode: Episode) -> Table:
-    """The rows of steps, but for a reset's."""
-    rows: Table = values[episode.tables["steps"]["step"] > 0]
-    return rows
-
-
-FIELDS: Mapping[str, Maker] = {
-    "wire": _make_wire,
-    "stamps": _column("ticks", "stamp"),
-    "poses": _column("ticks", "pose"),
-    "twists": _column("ticks", "twist"),
-    "speeds": _column("ticks", "speeds"),
-    "asked": _column("ticks", "asked"),
-    "sent": _column("ticks", "sent"),
-    "reasons": _column("ticks", "reason"),
-    "lateness": _column("ticks", "lateness"),
-    "truth": lambda episode: join_truth(episode.tables),
-    "observations": lambda episode: episode.tables["observations"],
-    "actions": lambda episode: _after_reset(episode.tables["actions"], episode),
-    "rewards": lambda episode: _after_reset(episode.tables["steps"]["reward"], episode),
-    "scans": _make_scans,
-    "step_stamps": _column("steps", "stamp"),
-    "exchanges": lambda episode: episode.tables["exchanges"],
-    "revolutions": lambda episode: Revolutions.of(episode.tables),
-    "movers": lambda episode: Movers.of(episode.tables),
-}
-"""How the fields of an episode are made."""
-
-
 def read(path: str | Path) -> Recording:
     """Read a recording. Its tables are read from the file when they are needed.
 
@@ -297,7 +172,7 @@ def read_quietly(path: Path) -> Recording:
         header=header,
         sha256=digest,
         config=config,
-        episodes=tuple(TableEpisode.of(tables.head, tables) for tables in stored.values()),
+        episodes=tuple(Episode(tables.head, tables) for tables in stored.values()),
         cut=is_cut,
         dropped=dropped or (0 if damages else missing),
         damages=tuple(damages),
@@ -322,25 +197,11 @@ def _explain_nothing(
 def summarize(path: Path) -> dict[str, Any]:
     """Sum up a recording, ready for JSON. Raises ConfigError if it can't be read."""
     recording = read_quietly(path)
-    episodes: list[dict[str, Any]] = []
-    counts: Counter[str] = Counter()
-    is_simulated = False
-    for episode in recording.episodes:
-        tables = episode.tables
-        rows = Counter({name: tables.count(name) for name in TABLES})
-        counts += rows
-        exchanges = tables["exchanges"]
-        is_simulated = is_simulated or bool(np.isfinite(exchanges["contact"]).any())
-        duration = exchanges["stamp"].max(initial=episode.start) - episode.start
-        episodes.append(
-            {
-                "ticks": rows["ticks"],
-                "steps": max(rows["steps"] - 1, 0),
-                "scans": rows["scans"],
-                "duration": round(float(duration), 3),
-                "info": dict(episode.info),
-            }
-        )
+    episodes = [_summarize_episode(episode) for episode in recording.episodes]
+    counts = {
+        name: sum(episode.tables.count(name) for episode in recording.episodes) for name in TABLES
+    }
+    exchanges = [episode.exchanges["contact"] for episode in recording.episodes]
 
     header = recording.header
     return {
@@ -354,12 +215,24 @@ def summarize(path: Path) -> dict[str, Any]:
         "robot": {
             "sha256": header["config_sha256"][:16],
             "base_frame": recording.config.base_frame,
-            "simulated": is_simulated,
+            "simulated": bool(np.isfinite(np.concatenate(exchanges)).any()),
         },
         "versions": header["versions"],
         "created": header["created"],
-        "tables": {name: counts[name] for name in TABLES if counts[name]},
+        "tables": {name: count for name, count in counts.items() if count},
         "episodes": episodes,
+    }
+
+
+def _summarize_episode(episode: Episode) -> dict[str, Any]:
+    count = episode.tables.count
+    end = episode.exchanges["stamp"].max(initial=episode.start)
+    return {
+        "ticks": count("ticks"),
+        "steps": max(count("steps") - 1, 0),
+        "scans": count("scans"),
+        "duration": round(float(end) - episode.start, 3),
+        "info": dict(episode.info),
     }
 
 
@@ -367,20 +240,18 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     """Return a summary as lines of text."""
     robot = summary["robot"]
     episodes = summary["episodes"]
-    state = "whole" if summary["whole"] else "cut: what followed is missing"
-    if summary["damage"]:
-        state = "damaged" if summary["whole"] else f"damaged; {state}"
-    lost = "nothing dropped"
+    states = ["damaged"] * bool(summary["damage"])
+    if not (summary["whole"] and states):
+        states.append("whole" if summary["whole"] else "cut: what followed is missing")
+    lost = f"{summary['dropped'] or 'nothing'} dropped"
     if summary["dropped"] is None:
         lost = "drops unknown"  # the end, which has their number, is missing
-    elif summary["dropped"]:
-        lost = f"{'' if summary['whole'] else 'at least '}{summary['dropped']:,} dropped"
     count = f"{len(episodes)} episode{'s' * (len(episodes) != 1)}"
     kind = "simulated" if robot["simulated"] else "real"
     about = ", ".join(f"{name} {_shorten(value)}" for name, value in summary["about"].items())
 
     lines = [
-        f"{summary['file']}: {state}; {count}, {summary['duration']:.1f} s, {lost}",
+        f"{summary['file']}: {'; '.join(states)}; {count}, {summary['duration']:.1f} s, {lost}",
         f"{kind} robot, config {robot['sha256']}; file {summary['sha256']}",
         *(line for line in (summary["damage"], about) if line),
     ]

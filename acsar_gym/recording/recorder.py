@@ -9,7 +9,7 @@ import threading
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -26,7 +26,7 @@ from acsar_gym.errors import (
 )
 from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.links.base import Link
-from acsar_gym.recording.events import NO_ACTION, Began, Event, Rows, Tables
+from acsar_gym.recording.events import NO_ACTION, Began, Event, Rows
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.tabulator import Sink, Tabulator
@@ -110,9 +110,9 @@ class Recorder(DriveObserver):
         self._thread: threading.Thread | None = None
         self._process = 0
         self._open_sinks: list[Sink] = []
+        self._tabulator = Tabulator(self._open_sinks)
         self._wake = threading.Event()
         self._is_ending = False
-        self._progress = 0
         self._failure = ""
 
     @classmethod
@@ -253,19 +253,17 @@ class Recorder(DriveObserver):
 
     def _write_blocks(self) -> None:
         """Write about twice a second, until the end or an error. The robot drives on after it."""
-        tabulator = Tabulator()
         is_last = False
-
         try:
             while not is_last:
                 self._wake.wait(BLOCK_PERIOD)
                 self._wake.clear()
                 is_last = self._is_ending
                 for _ in range(0, len(self._queue), BLOCK_EVENTS):
-                    self._write(tabulator.add(self._take_events()))
+                    self._tabulator.add(self._take_events())
                 for sink in self._open_sinks:
                     sink.flush()
-            self._write(tabulator.add((), is_last=True))
+            self._tabulator.add((), is_last=True)
             for sink in self._open_sinks:
                 sink.close(self.dropped)
         except Exception as error:  # noqa: BLE001 - reported with the next reset
@@ -277,12 +275,6 @@ class Recorder(DriveObserver):
         """Take events that wait, as many as fit in a block."""
         count = min(len(self._queue), BLOCK_EVENTS)
         return [self._queue.popleft() for _ in range(count)]
-
-    def _write(self, blocks: Iterable[tuple[dict[str, Any], Tables]]) -> None:
-        for head, tables in blocks:
-            for sink in self._open_sinks:
-                sink.write(head, tables)
-            self._progress += 1
 
     def describe(self, info: Mapping[str, Any], **about: Any) -> None:
         """Describe the next episode.
@@ -352,9 +344,9 @@ class Recorder(DriveObserver):
         self._wake.set()
         looks = 0
         while self._thread.is_alive() and looks < HANG_WAITS:
-            progress = self._progress
+            blocks = self._tabulator.blocks
             self._thread.join(HANG_WAIT)
-            looks = looks + 1 if self._progress == progress else 0
+            looks = looks + 1 if self._tabulator.blocks == blocks else 0
         if self._thread.is_alive():
             hung = f"writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
             self._failure = f"{hung}; what waits is lost if the program ends now"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,113 +21,6 @@ from acsar_gym.worlds.crowd import CLOCK, Crowd
 from acsar_gym.worlds.movers import walk
 
 SHOWN_BYTES = 40  # bytes of a command that a message shows, the last ones
-
-
-class Tape:
-    """Plays the control periods of an episode.
-
-    Attributes:
-        now: Time at the end of the newest period [s].
-        next_period: Number of the next period.
-        lateness: Lateness of the newest period [s]. None if time was simulated.
-        truth: Ground truth at the end of the newest period. None if it wasn't recorded.
-        arrivals: When the bytes of the newest period arrived [s].
-    """
-
-    def __init__(self, episode: Episode) -> None:
-        self.now = episode.start
-        self.next_period = 0
-        self.lateness: float | None = None
-        self.truth: GroundTruth | None = None
-        self.arrivals: Arrivals = ()
-
-        self._wire = episode.wire
-        self._periods = episode.exchanges
-        self._revolutions = episode.revolutions
-        self._write_ends = np.concatenate([[0], np.cumsum(self._periods["writes"])]).tolist()
-        self._piece_ends = np.concatenate([[0], np.cumsum(self._periods["pieces"])]).tolist()
-        self._first_tick = float(episode.stamps[0]) if len(episode.stamps) else math.inf
-        self._written = 0
-        if len(self._periods):
-            self._show(0)
-
-    def _show(self, number: int) -> None:
-        """Show lateness and truth of a period."""
-        period = self._periods[number]
-        lateness = float(period["lateness"])
-        self.lateness = None if math.isnan(lateness) else lateness
-        if not math.isnan(period["contact"]):
-            x, y, theta = period["pose"].tolist()
-            linear, angular = period["twist"].tolist()
-            self.truth = GroundTruth((x, y, theta), (linear, angular), bool(period["contact"]))
-
-    @property
-    def place(self) -> str:
-        """Where the tape is, for messages."""
-        tick = self.next_period - int(np.searchsorted(self._periods["stamp"], self._first_tick))
-        return f"tick {tick}" if tick > 0 else f"period {self.next_period} of the reset"
-
-    @property
-    def is_over(self) -> bool:
-        """Whether all periods have been played."""
-        return self.next_period >= len(self._periods)
-
-    @property
-    def has_gap(self) -> bool:
-        """Whether the recording lacks the next period."""
-        return int(self._periods["number"][self.next_period]) != self.next_period
-
-    def note_write(self) -> None:
-        """Move on to the time at which the next write was done, if time was real."""
-        number = self._write_ends[self.next_period] + self._written
-        self._written += 1
-        if self.lateness is not None and number < len(self._wire.sent_stamps):
-            self.now = max(self.now, float(self._wire.sent_stamps[number]))
-
-    def next(self) -> tuple[bytes, bytes]:
-        """Play a period. Returns what was sent and what arrived in it."""
-        number = self.next_period
-        self.next_period += 1
-        self._written = 0
-        self.now = float(self._periods["stamp"][number])
-        self._show(number)
-        pieces = slice(self._piece_ends[number], self._piece_ends[number + 1])
-        received = self._wire.got[pieces]
-        stamps = self._wire.got_stamps[pieces].tolist()
-        self.arrivals = list(zip(stamps, received, strict=True))
-        sent = self._wire.sent[self._write_ends[number] : self._write_ends[number + 1]]
-        return b"".join(sent), b"".join(received)
-
-    @property
-    def remaining_writes(self) -> bytes:
-        """What was sent after the last period, such as the stop at the end."""
-        return b"".join(self._wire.sent[self._write_ends[-1] :])
-
-    def revolution(self) -> tuple[float, Floats] | None:
-        """Return the end [s] of the LiDAR's newest revolution, and its measurements.
-
-        Measurements are (3, n), as in `Revolutions.measured`. None if there is no revolution.
-        """
-        revolutions = self._revolutions
-        number = int(np.searchsorted(revolutions.exchanges, self.next_period)) - 1
-        if number < 0:
-            return None
-        return float(revolutions.stamps[number]), revolutions.measured[number]
-
-    def oldest_measurement(self) -> float:
-        """Return the largest age of a measurement while its revolution is the newest one [s]."""
-        revolutions = self._revolutions
-        if not (len(revolutions.stamps) and len(self._periods)):
-            return 0.0
-
-        # A revolution is the newest one until the next revolution is read.
-        last = len(self._periods) - 1
-        periods = np.clip(np.append(revolutions.exchanges[1:], last), 0, last)
-        ends: list[float] = self._periods["stamp"][periods].tolist()
-        return max(
-            end - float(measured[2].min(initial=end))
-            for end, measured in zip(ends, revolutions.measured, strict=True)
-        )
 
 
 class RecordedCrowd(Crowd):
@@ -160,54 +52,85 @@ class ReplayLink(Link):
         compare: Whether other commands than recorded are an error.
     """
 
+    truth: GroundTruth | None = None
+    """As recorded. None for the recording of a real robot, and before `open`."""
+    arrivals: Arrivals = ()
+
     def __init__(self, path: str | Path, *, compare: bool = True) -> None:
         self.device = f"{REPLAY}{path}"
         self._path = Path(path)
         self._compare = compare
         self._recording: Recording | None = None
-        self._next_episode = 0
-        self._tape: Tape | None = None
-        self._crowd: RecordedCrowd | None = None
-        self._sent = b""
+        self._episode: Episode | None = None
+        self._played = 0
         self._is_open = False
+
+        self._now = 0.0
+        self._next_period = 0
+        self._sent = b""
+        self._written = 0
 
     def open(self) -> None:
         """Read the recording. Raises ConfigError if it can't be read."""
         if self._recording is None:
             self._recording = read(self._path)
-            self._load(self._recording.episodes[0])
+            self._load(self._recording, 0)
         self._is_open = True
 
-    def _load(self, episode: Episode) -> None:
-        """Put an episode into the tape player, which knows its kind of time from then on."""
-        self._tape = Tape(episode)
+    def _load(self, recording: Recording, number: int) -> None:
+        """Take an episode, whose kind of time the link has from then on."""
+        episode = self._episode = recording.episodes[number]
+        self._periods = episode.exchanges
+        self._write_ends = np.concatenate([[0], np.cumsum(self._periods["writes"])]).tolist()
+        self._piece_ends = np.concatenate([[0], np.cumsum(self._periods["pieces"])]).tolist()
+        has_movers = bool(len(episode.movers.stamps))
+        self._crowd = RecordedCrowd(episode.movers, recording.config) if has_movers else None
+
+        self._now = episode.start
+        self._next_period = 0
+        self._sent = b""
+        self._written = 0
         self.stamped = episode.wire.stamped
-        self.lateness = self._tape.lateness
+        self.lateness = self.truth = None
+        self.arrivals = ()
+        if len(self._periods):
+            self._show(0)
+
+    def _show(self, number: int) -> None:
+        """Show lateness and truth of a period."""
+        period = self._periods[number]
+        lateness = float(period["lateness"])
+        self.lateness = None if math.isnan(lateness) else lateness
+        if self._crowd is not None:
+            self._crowd.play(number)
+        if not math.isnan(period["contact"]):
+            x, y, theta = period["pose"].tolist()
+            linear, angular = period["twist"].tolist()
+            contact = bool(period["contact"])
+            self.truth = GroundTruth((x, y, theta), (linear, angular), contact, crowd=self._crowd)
 
     def reset(self, scene: Scene) -> None:
         """Start the next episode. Raises LinkLostError after the last episode."""
         self.open()
         recording = self._recording
-        if recording is None or self._next_episode >= len(recording.episodes):
+        if recording is None or self._played >= len(recording.episodes):
             is_cut = recording is not None and recording.cut
             missing = "; the file is cut: its end is missing" if is_cut else ""
             raise LinkLostError(
-                f"{self._path}: all {self._next_episode} episodes have been played{missing}",
+                f"{self._path}: all {self._played} episodes have been played{missing}",
                 "make a new link to play it again",
             )
-
-        episode = recording.episodes[self._next_episode]
-        self._next_episode += 1
-        self._load(episode)
-        has_movers = bool(len(episode.movers.stamps))
-        self._crowd = RecordedCrowd(episode.movers, recording.config) if has_movers else None
-        self._sent = b""
+        self._load(recording, self._played)
+        self._played += 1
 
     def write(self, data: bytes) -> None:
-        """Take commands, which the next `advance` compares."""
-        _, tape = self._playing()
-        tape.note_write()
+        """Take commands, which the next `advance` compares. If time was real, it goes on."""
+        _, episode = self._playing()
+        number = self._write_ends[self._next_period] + self._written
+        self._written += 1
         self._sent += data
+        if self.lateness is not None and number < len(episode.wire.sent_stamps):
+            self._now = max(self._now, float(episode.wire.sent_stamps[number]))
 
     def advance(self, period: float) -> bytes:
         """Return the bytes of the next period.
@@ -215,61 +138,64 @@ class ReplayLink(Link):
         Raises:
             LinkLostError: At the end of the episode, at a gap, and for other commands.
         """
-        recording, tape = self._playing()
-        self._check_next(recording, tape)
+        recording, episode = self._playing()
+        self._check_next(recording, episode)
+        number = self._next_period
+        self._next_period += 1
+        self._now = float(self._periods["stamp"][number])
+        self._show(number)
 
+        pieces = slice(self._piece_ends[number], self._piece_ends[number + 1])
+        received = episode.wire.got[pieces]
+        stamps = episode.wire.got_stamps[pieces].tolist()
+        self.arrivals = list(zip(stamps, received, strict=True))
         sent = self._sent
         self._sent = b""
-        recorded, received = tape.next()
-        self.lateness = tape.lateness
-        if self._crowd is not None:
-            self._crowd.play(tape.next_period - 1)
+        self._written = 0
+        writes = slice(self._write_ends[number], self._write_ends[number + 1])
+        recorded = b"".join(episode.wire.sent[writes])
         if self._compare and sent != recorded:
             shown = sent[-SHOWN_BYTES:].strip().decode("latin-1")
             expected = recorded[-SHOWN_BYTES:].strip().decode("latin-1")
             raise LinkLostError(
-                f"{self._path}: other commands than recorded, {tape.place}: "
+                f"{self._path}: other commands than recorded, {self._describe_place(episode)}: "
                 f"{shown!r}, not {expected!r}",
                 "was it made with this robot, goal and policy?",
             )
-        return received
+        return b"".join(received)
 
-    def _check_next(self, recording: Recording, tape: Tape) -> None:
+    def _check_next(self, recording: Recording, episode: Episode) -> None:
         """Raise LinkLostError if the next period can't be played."""
-        if tape.is_over:
+        number = self._next_period
+        if number >= len(self._periods):
             problem = "the recorded episode ends here"
             fix = "was it made with this goal and policy?"
-            if recording.cut and self._next_episode == len(recording.episodes):
+            if recording.cut and self._played == len(recording.episodes):
                 problem = "the file is cut here"
                 fix = "what followed is missing"
-        elif tape.has_gap:
+        elif int(self._periods["number"][number]) != number:
             reason = "the file is damaged" if recording.damages else "its writer couldn't keep up"
             problem = "the recording has a gap"
             fix = f"{reason}: it can't be replayed from here on"
         else:
             return
-        raise LinkLostError(f"{self._path}: {problem}, {tape.place}", fix)
+        raise LinkLostError(f"{self._path}: {problem}, {self._describe_place(episode)}", fix)
 
-    def _playing(self) -> tuple[Recording, Tape]:
-        is_playing = self._is_open and self._next_episode
-        if not is_playing or self._recording is None or self._tape is None:
+    def _describe_place(self, episode: Episode) -> str:
+        """Describe where the replay is, for messages."""
+        first = episode.stamps[:1].min(initial=math.inf)
+        tick = self._next_period - int(np.searchsorted(self._periods["stamp"], first))
+        return f"tick {tick}" if tick > 0 else f"period {self._next_period} of the reset"
+
+    def _playing(self) -> tuple[Recording, Episode]:
+        is_playing = self._is_open and self._played
+        if not is_playing or self._recording is None or self._episode is None:
             raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
-        return self._recording, self._tape
+        return self._recording, self._episode
 
     def now(self) -> float:
         """Return the recorded time [s]."""
-        return self._tape.now if self._tape else 0.0
-
-    @property
-    def truth(self) -> GroundTruth | None:
-        """Recorded ground truth. None for the recording of a real robot, and before `open`."""
-        truth = self._tape.truth if self._tape else None
-        return truth if truth is None or not self._crowd else replace(truth, crowd=self._crowd)
-
-    @property
-    def arrivals(self) -> Arrivals:
-        """When the bytes of the newest period arrived, as recorded [s]."""
-        return self._tape.arrivals if self._tape else ()
+        return self._now
 
     @property
     def scans(self) -> RecordedScans:
@@ -277,12 +203,33 @@ class ReplayLink(Link):
         return self
 
     def revolution(self) -> tuple[float, Floats] | None:
-        """Return the LiDAR's newest revolution. See `Tape.revolution`."""
-        return self._tape.revolution() if self._tape else None
+        """Return the end [s] of the LiDAR's newest revolution, and its measurements.
+
+        Measurements are (3, n), as in `Revolutions.measured`. None if there is no revolution.
+        """
+        if self._episode is None:
+            return None
+        revolutions = self._episode.revolutions
+        number = int(np.searchsorted(revolutions.exchanges, self._next_period)) - 1
+        if number < 0:
+            return None
+        return float(revolutions.stamps[number]), revolutions.measured[number]
 
     def oldest_measurement(self) -> float:
-        """Return the age of the oldest measurement in the episode. See `Tape` [s]."""
-        return self._tape.oldest_measurement() if self._tape else 0.0
+        """Return the largest age of a measurement while its revolution is the newest one [s]."""
+        if self._episode is None or not len(self._periods):
+            return 0.0
+
+        # A revolution is the newest one until the next revolution is read.
+        revolutions = self._episode.revolutions
+        last = len(self._periods) - 1
+        periods = np.clip(np.append(revolutions.exchanges[1:], last), 0, last)
+        ends: list[float] = self._periods["stamp"][periods].tolist()
+        ages = [
+            end - float(measured[2].min(initial=end))
+            for end, measured in zip(ends, revolutions.measured, strict=False)
+        ]
+        return max(ages, default=0.0)
 
     def __reduce__(self) -> tuple[Callable[..., ReplayLink], tuple[Path]]:
         """Copy with the replay at its start."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -45,17 +45,24 @@ class Sink:
 
 
 class Tabulator:
-    """Makes blocks of the events of a drive: head and tables, as `Sink.write` takes them."""
+    """Makes blocks of the events of a drive, and hands them to sinks.
 
-    def __init__(self) -> None:
+    Args:
+        sinks: What gets the blocks.
+
+    Attributes:
+        blocks: Number of blocks that all sinks have got.
+    """
+
+    def __init__(self, sinks: Sequence[Sink]) -> None:
+        self.blocks = 0
+        self._sinks = sinks
         self._waiting: list[Rows] = []
         self._opening: dict[str, Any] = {}
         self._newest = -1
 
-    def add(
-        self, events: Iterable[Event], *, is_last: bool = False
-    ) -> Iterator[tuple[dict[str, Any], Tables]]:
-        """Take events, and yield the blocks that are complete.
+    def add(self, events: Iterable[Event], *, is_last: bool = False) -> None:
+        """Take events, and hand on the blocks that are complete.
 
         The newest control period waits for more events, unless these are the last events.
         """
@@ -63,15 +70,15 @@ class Tabulator:
             if not isinstance(event, Began):
                 self._waiting.append(event)
                 continue
-            yield from self._make_block(len(self._waiting))
+            self._write_block(len(self._waiting))
             self._begin_episode(event)
             self._waiting = [{"clocks": (event.stamp, event.wall)}]
-            yield from self._make_block(1)
+            self._write_block(1)
 
         count = len(self._waiting)
         periods = [n for n, rows in enumerate(self._waiting) if "exchanges" in rows]
         is_waiting = periods and periods[-1] > 0 and not is_last
-        yield from self._make_block(periods[-1] if is_waiting else count)
+        self._write_block(periods[-1] if is_waiting else count)
 
     def _begin_episode(self, began: Began) -> None:
         """Note the opening of an episode. Its clock may have started again at zero."""
@@ -86,8 +93,8 @@ class Tabulator:
             "info": to_plain_json(dict(began.info)),
         }
 
-    def _make_block(self, count: int) -> Iterator[tuple[dict[str, Any], Tables]]:
-        """Yield the block of the oldest events, if there are any."""
+    def _write_block(self, count: int) -> None:
+        """Make a block of the oldest events, if there are any."""
         tables = stack_rows(self._waiting[:count])
         self._waiting = self._waiting[count:]
         if not tables or not self._opening:
@@ -101,7 +108,9 @@ class Tabulator:
             head["outcome"] = tables["steps"][-1].tolist()[3:]
         newest = max(table["stamp"].max() for table in tables.values() if table.dtype.names)
         self._newest = max(self._newest, round(newest * 1e9) + head["offset"])
-        yield head, tables
+        for sink in self._sinks:
+            sink.write(head, tables)
+        self.blocks += 1
 
 
 def stack_rows(events: Iterable[Rows]) -> Tables:

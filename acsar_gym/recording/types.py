@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,8 @@ from acsar_gym.config.sections import WheelLetters
 from acsar_gym.errors import ConfigError
 from acsar_gym.links.base import Arrivals
 from acsar_gym.protocol import ZERO, Decoder, Reading
-from acsar_gym.recording.events import TABLES, Tables
+from acsar_gym.recording.blocks import Head
+from acsar_gym.recording.events import Table, Tables
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +54,7 @@ class WireLog:
         """Decode what was sent.
 
         Args:
-            config: of the robot.
+            config: Robot configuration.
 
         Returns:
             Stamps [s], (n,), and speeds [rad/s] of the logical wheels, (n, 4): one row for each
@@ -63,7 +66,7 @@ class WireLog:
         """Decode what arrived.
 
         Args:
-            config: of the robot.
+            config: Robot configuration.
 
         Returns:
             Stamps of each line's last byte [s], (k,), and speeds [rad/s] of the logical wheels,
@@ -73,9 +76,7 @@ class WireLog:
 
 
 def _decode_lines(
-    stamps: Floats,
-    pieces: Sequence[bytes],
-    letters: WheelLetters | None,
+    stamps: Floats, pieces: Sequence[bytes], letters: WheelLetters | None
 ) -> tuple[Floats, Floats]:
     """Decode pieces of a byte stream. Each line gets the stamp of the piece that ends it."""
     decoder = Decoder()
@@ -91,8 +92,7 @@ def _decode_lines(
     return np.array(times), np.array(values).reshape(-1, 4)
 
 
-@dataclass(frozen=True, eq=False)
-class Scans:
+class Scans(NamedTuple):
     """The scans of a LiDAR during an episode."""
 
     stamps: Floats
@@ -104,8 +104,7 @@ class Scans:
     """(k,): number of the exchange after which each was read."""
 
 
-@dataclass(frozen=True, eq=False)
-class Revolutions:
+class Revolutions(NamedTuple):
     """The revolutions of a LiDAR of which an episode's scans are made."""
 
     stamps: Floats
@@ -115,20 +114,8 @@ class Revolutions:
     exchanges: NDArray[np.int64]
     """(k,): number of the exchange after which each was read first."""
 
-    @classmethod
-    def of(cls, tables: Tables) -> Revolutions:
-        """Take the revolutions of tables. Raises ConfigError if measurements are missing."""
-        table = tables["revolutions"]
-        measured = tables["measurements"]
-        if table["size"].sum() != len(measured):
-            raise ConfigError("is damaged: measurements of the LiDAR are missing")
-        turns = np.split(measured, np.cumsum(table["size"]))[: len(table)]
-        columns = [np.ascontiguousarray(turn.T) for turn in turns]
-        return cls(table["stamp"], columns, table["exchange"])
 
-
-@dataclass(frozen=True, eq=False)
-class Movers:
+class Movers(NamedTuple):
     """What moved around a simulated robot during an episode, at the end of k control periods."""
 
     exchanges: NDArray[np.int64]
@@ -142,83 +129,154 @@ class Movers:
     states: Floats
     """(k, movers, 5): x, y [m], their rates [m/s], and radius [m], in the frame of the world."""
 
-    @classmethod
-    def of(cls, tables: Tables) -> Movers:
-        """Take the movers of tables."""
-        table = tables["movers"]
-        return cls(
-            exchanges=table["exchange"],
-            stamps=table["stamp"],
-            hits=table["hit"],
-            intrusions=table["intrusions"],
-            states=tables["mover_states"],
-        )
+
+def split_pieces(tables: Tables, name: str) -> tuple[bytes, ...]:
+    """Return the pieces of bytes of two tables. Raises ConfigError if some bytes are missing."""
+    data = tables[f"{name}_bytes"].tobytes()
+    ends = np.cumsum(tables[name]["size"]).tolist()
+    if sum(ends[-1:]) != len(data):
+        raise ConfigError(f"is damaged: some bytes of {name} are missing")
+    return tuple(data[first:end] for first, end in pairwise([0, *ends]))
 
 
-@dataclass(frozen=True, eq=False)
+def _make_wire(episode: Episode) -> WireLog:
+    tables = episode.tables
+    return WireLog(
+        sent_stamps=tables["sent"]["stamp"],
+        sent=split_pieces(tables, "sent"),
+        got_stamps=tables["received"]["stamp"],
+        got=split_pieces(tables, "received"),
+        stamped=bool(episode.info.get("stamped")),
+    )
+
+
+def _join_truth(episode: Episode) -> Floats:
+    """The true poses at the ends of the exchanges of ticks."""
+    exchanges = episode.exchanges
+    wanted = episode.tables["ticks"]["exchange"]
+    truth = np.full((len(wanted), 3), np.nan)
+    if len(exchanges):
+        places = np.searchsorted(exchanges["number"][:-1], wanted)
+        is_recorded = exchanges["number"][places] == wanted
+        truth[is_recorded] = exchanges["pose"][places[is_recorded]]
+    return truth
+
+
+def _split_revolutions(episode: Episode) -> Revolutions:
+    table = episode.tables["revolutions"]
+    measured = episode.tables["measurements"]
+    if table["size"].sum() != len(measured):
+        raise ConfigError("is damaged: measurements of the LiDAR are missing")
+    turns = np.split(measured, np.cumsum(table["size"]))[: len(table)]
+    columns = [np.ascontiguousarray(turn.T) for turn in turns]
+    return Revolutions(table["stamp"], columns, table["exchange"])
+
+
+def _after_reset(episode: Episode, values: Table) -> Table:
+    """The rows of steps, but for a reset's."""
+    rows: Table = values[episode.tables["steps"]["step"] > 0]
+    return rows
+
+
+def _list_scans(episode: Episode) -> Scans:
+    scans = episode.tables["scans"]
+    return Scans(scans["stamp"], episode.tables["ranges"], scans["exchange"])
+
+
+def _list_movers(episode: Episode) -> Movers:
+    table = episode.tables["movers"]
+    columns = [table[name] for name in ("exchange", "stamp", "hit", "intrusions")]
+    return Movers(*columns, states=episode.tables["mover_states"])
+
+
+def _made(make: Callable[[Episode], Any]) -> Any:
+    """A field that is made when it is used for the first time."""
+    return cached_property(make)
+
+
+def _column(table: str, column: str) -> Any:
+    """A field that is a column of a table."""
+    return _made(lambda episode: episode.tables[table][column])
+
+
 class Episode:
     """One episode of a recording: from a reset to the next one. Angles in rad, n ticks.
 
     Ticks are those after the reset. The exchanges in which the reset waits for standstill are in
-    the wire log only.
+    the wire log only. Fields are read from the file when they are used for the first time.
+
+    Args:
+        head: How the episode began, and what its newest step was.
+        tables: Its tables, or a part of each.
+
+    Attributes:
+        start: Time of the reset, on the link's clock [s].
+        offset: What to add to times of the link's clock for those of the file [ns]. Those begin
+            with the wall clock at the first reset.
+        info: Seed, goal, start and number of the episode, as far as they are known.
+        terminated: Whether it ended by success or failure. It was cut short otherwise.
+        truncated: Whether a fault ended it: the last step repeats the observation before.
+        success: Whether the task was solved. None if no env was recorded.
+        tables: The tables by name. See `recording.events.TABLES`.
     """
 
-    start: float
-    """Time of the reset, on the link's clock [s]."""
-    wire: WireLog
+    def __init__(self, head: Head, tables: Tables) -> None:
+        self.start = head.start
+        self.offset = head.offset
+        self.info: Mapping[str, Any] = head.info
+        outcome = head.outcome or (False, False, None)
+        self.terminated: bool = outcome[0]
+        self.truncated: bool = outcome[1]
+        self.success: bool | None = outcome[2]
+        self.tables = tables
+        self._head = head
+
+    wire: WireLog = _made(_make_wire)
     """The bytes both ways, from the reset on."""
-    stamps: Floats
+    stamps: Floats = _column("ticks", "stamp")
     """(n,): end of each tick, on the link's clock [s]."""
-    poses: Floats
+    poses: Floats = _column("ticks", "pose")
     """(n, 3): x [m], y [m], theta [rad] by odometry."""
-    twists: Floats
+    twists: Floats = _column("ticks", "twist")
     """(n, 2): linear [m/s], angular [rad/s] by odometry."""
-    speeds: Floats
+    speeds: Floats = _column("ticks", "speeds")
     """(n, 4): newest wheel speeds [rad/s], wheels a to d."""
-    asked: Floats
+    asked: Floats = _column("ticks", "asked")
     """(n, 2): the twist that was asked for [m/s, rad/s]."""
-    sent: Floats
+    sent: Floats = _column("ticks", "sent")
     """(n, 2): the twist that was sent."""
-    reasons: NDArray[np.int64]
+    reasons: NDArray[np.int64] = _column("ticks", "reason")
     """(n,): `safety.rules.Reason` of each tick."""
-    lateness: Floats
+    lateness: Floats = _column("ticks", "lateness")
     """(n,): time from the tick's deadline to its end [s]. NaN in simulation."""
-    truth: Floats
+    truth: Floats = _made(_join_truth)
     """(n, 3): true pose in the frame of the world. NaN on hardware."""
-    observations: NDArray[np.float32]
-    """(steps + 1, size): the first is the reset's. (0, 0) where no env was recorded."""
-    actions: NDArray[np.float32]
+    observations: NDArray[np.float32] = _made(lambda episode: episode.tables["observations"])
+    """(steps + 1, size): the first is the reset's. (0, 0) if no env was recorded."""
+    actions: NDArray[np.float32] = _made(
+        lambda episode: _after_reset(episode, episode.tables["actions"])
+    )
     """(steps, 2): actions of the policy, in [-1, 1]."""
-    rewards: Floats
+    rewards: Floats = _made(
+        lambda episode: _after_reset(episode, episode.tables["steps"]["reward"])
+    )
     """(steps,)."""
-    scans: Scans
+    scans: Scans = _made(_list_scans)
     """What the LiDAR's rays were."""
-    info: Mapping[str, Any] = field(default_factory=dict)
-    """Seed, goal, start and number of the episode, as far as they are known."""
-    offset: int = 0
-    """What to add to times of the link's clock for those of the file [ns]. Those begin with the
-    wall clock at the first reset."""
-    terminated: bool = False
-    """Whether the episode ended by success or failure. It was cut short otherwise."""
-    truncated: bool = False
-    """Whether a fault ended it: the last step repeats the observation before."""
-    step_stamps: Floats = field(default_factory=lambda: np.zeros(0))
+    step_stamps: Floats = _column("steps", "stamp")
     """(steps + 1,): when each observation was made, on the link's clock [s]."""
-    exchanges: NDArray[Any] = field(default_factory=lambda: np.zeros(0, TABLES["exchanges"]))
-    """The control periods of the wire, those of the reset included, for replay: a table whose
-    columns are those of `recording.events.TABLES`. Missing numbers were dropped."""
-    revolutions: Revolutions = field(default_factory=lambda: Revolutions.of(Tables()))
+    exchanges: Table = _made(lambda episode: episode.tables["exchanges"])
+    """The control periods of the wire, those of the reset included, for replay. Missing numbers
+    were dropped."""
+    revolutions: Revolutions = _made(_split_revolutions)
     """What the LiDAR measured."""
-    movers: Movers = field(default_factory=lambda: Movers.of(Tables()))
-    """What moved around the robot. Empty on hardware, and where nothing did."""
-    success: bool | None = None
-    """Whether the task was solved. None where no env was recorded."""
-    tables: Tables = field(default_factory=Tables)
-    """The tables of which all this is made, by name. See `recording.events.TABLES`."""
+    movers: Movers = _made(_list_movers)
+    """What moved around the robot. Empty on hardware, and if nothing did."""
 
     def split(self) -> Iterator[Episode]:
         """Yield the episode in parts of moderate size, with some of the rows of each table."""
-        yield self
+        for tables in self.tables.split():
+            yield Episode(self._head, tables)
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,6 +301,11 @@ class Recording:
     """Control periods that are missing where the file is damaged."""
 
     @property
+    def is_incomplete(self) -> bool:
+        """Whether the last episode is incomplete, because the file is cut."""
+        return self.cut and not self.episodes[-1].terminated
+
+    @property
     def sources(self) -> set[str]:
         """Hash of the file, and of the bag that it was made of."""
         source = self.header.get("source")
@@ -252,7 +315,9 @@ class Recording:
         """Describe in one line what is missing of a damaged file. Empty if nothing is."""
         if not self.damages:
             return ""
-        places = f"{len(self.damages)} damaged place{'s' * (len(self.damages) != 1)} left out"
-        more = ", ..." if len(self.damages) > 2 else ""
+        count = len(self.damages)
+        places = ", ".join([*self.damages[:2], *["..."] * (count > 2)])
         lost = f"; {self.missing:,} control periods are missing" if self.missing else ""
-        return f"{places} ({', '.join(self.damages[:2])}{more}){lost}; see mcap recover"
+        return (
+            f"{count} damaged place{'s' * (count != 1)} left out ({places}){lost}; see mcap recover"
+        )

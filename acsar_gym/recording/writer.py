@@ -18,7 +18,6 @@ from acsar_gym.recording.events import Tables
 from acsar_gym.recording.messages import (
     LATCHED,
     LATCHED_QOS,
-    TOPICS,
     Publisher,
     define,
     package_version,
@@ -138,9 +137,6 @@ class RecordingWriter(Sink):
         config: Robot configuration.
         header: Header of the recording. See `recording.messages`.
 
-    Attributes:
-        written: Number of messages and blocks that were written.
-
     Raises:
         ConfigError: The file can't be written.
         MissingExtraError: mcap or rosbags isn't installed.
@@ -150,7 +146,6 @@ class RecordingWriter(Sink):
         with require_extra("recording", "record"):
             from mcap.writer import Writer  # noqa: PLC0415 - optional
 
-        self.written = 0
         self._publisher = Publisher(config)
         self._header = header
         self._schemas: dict[str, int] = {}
@@ -171,19 +166,17 @@ class RecordingWriter(Sink):
     def write(self, head: Mapping[str, Any], tables: Tables) -> None:
         """Write a block: its messages, between which other threads may run, then its tables."""
         messages = self._publisher.make_messages(head, tables)
-        for number, (topic, stamp, data) in enumerate(messages):
-            if topic not in self._channels:
-                self._channels[topic] = self._register(topic)
-            self._writer.add_message(self._channels[topic], stamp, data, stamp)
+        for number, (series, stamp, data) in enumerate(messages):
+            if series.topic not in self._channels:
+                self._channels[series.topic] = self._register(series.topic, series.kind)
+            self._writer.add_message(self._channels[series.topic], stamp, data, stamp)
             self._newest = max(self._newest, stamp)
-            self.written += 1
             if number % MESSAGES_AT_ONCE == 0:
                 time.sleep(YIELD_TIME)
         self._write_block(head, tables)
 
-    def _register(self, topic: str) -> int:
+    def _register(self, topic: str, kind: str) -> int:
         """Write the type of a topic, and return the number of its channel."""
-        kind = TOPICS[topic].kind
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", define(kind))
         quality = {"offered_qos_profiles": LATCHED_QOS if topic in LATCHED else ""}
@@ -211,4 +204,3 @@ class RecordingWriter(Sink):
         content = pack_block({"before": self._file.checksum, **head}, tables)
         self._writer.add_attachment(self._newest, self._newest, NAME, MEDIA_TYPE, content)
         self._file.checksum = 0
-        self.written += 1

@@ -35,24 +35,25 @@ def read_bag(path: Path, robot: RobotConfig = ROBOT, topics: tuple[str, ...] = (
     return read(open_recording(path, robot, topics))
 
 
-def assert_same_drive(found: Recording, tape: Path, off: float = 0.011) -> None:
+def assert_same_drive(recording: Recording, tape: Path, off: float = 0.011) -> None:
     """Speeds, way, commands and scans of a bag are those that were recorded."""
-    (one,), (every,) = found.episodes, read(tape).episodes
-    rows = len(one.stamps)
-    assert len(every.stamps) - 1 <= rows <= len(every.stamps)
-    np.testing.assert_allclose(one.speeds, every.speeds[-rows:], atol=off)
-    np.testing.assert_allclose(one.poses[-1, :2], every.poses[-1, :2], atol=0.02)
-    np.testing.assert_allclose(np.diff(one.stamps), np.diff(every.stamps[-rows:]), atol=2e-9)
-    _, sent = one.wire.commands(ROBOT)
-    _, sent_before = every.wire.commands(ROBOT)
-    np.testing.assert_allclose(sent[-300:], sent_before[-301:-1], atol=0.011)
-    assert np.isnan(one.truth).all()
-    assert len(one.scans.stamps) > 40
-    nearest = len(every.scans.stamps) - len(one.scans.stamps)
-    np.testing.assert_allclose(one.scans.ranges, every.scans.ranges[nearest:], atol=1e-4)
+    (episode,) = recording.episodes
+    (drove,) = read(tape).episodes
+    rows = len(episode.stamps)
+    assert len(drove.stamps) - 1 <= rows <= len(drove.stamps)
+    np.testing.assert_allclose(episode.speeds, drove.speeds[-rows:], atol=off)
+    np.testing.assert_allclose(episode.poses[-1, :2], drove.poses[-1, :2], atol=0.02)
+    np.testing.assert_allclose(np.diff(episode.stamps), np.diff(drove.stamps[-rows:]), atol=2e-9)
+    commands = episode.wire.commands(ROBOT)[1]
+    np.testing.assert_allclose(commands[-300:], drove.wire.commands(ROBOT)[1][-301:-1], atol=0.011)
+
+    assert np.isnan(episode.truth).all()
+    assert len(episode.scans.stamps) > 40
+    nearest = len(drove.scans.stamps) - len(episode.scans.stamps)
+    np.testing.assert_allclose(episode.scans.ranges, drove.scans.ranges[nearest:], atol=1e-4)
 
 
-def test_an_mcap_file_is_read_as_a_recording(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_reads_an_mcap_file(tape: Path, tmp_path: Path) -> None:
     bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS))
     assert is_recording(tape)
     assert not is_recording(bag)
@@ -61,9 +62,7 @@ def test_an_mcap_file_is_read_as_a_recording(tape: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
-def test_a_folder_is_read_as_a_recording(
-    storage: StoragePlugin, tape: Path, tmp_path: Path
-) -> None:
+def test_open_recording_reads_a_folder(storage: StoragePlugin, tape: Path, tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "bag", make_bag(tape, TOPICS), storage)
     assert_same_drive(read_bag(folder), tape)
     (file,) = [path for path in folder.iterdir() if path.suffix in (".db3", ".mcap")]
@@ -72,7 +71,7 @@ def test_a_folder_is_read_as_a_recording(
     assert_same_drive(read_bag(folder), tape)
 
 
-def test_files_of_a_folder_are_read_by_their_numbers(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_reads_files_by_their_numbers(tape: Path, tmp_path: Path) -> None:
     """Number 10 follows number 9; names don't sort so."""
     bag = make_bag(tape, TOPICS)
     (tmp_path / "bag").mkdir()
@@ -82,18 +81,18 @@ def test_files_of_a_folder_are_read_by_their_numbers(tape: Path, tmp_path: Path)
     assert_same_drive(read_bag(tmp_path / "bag"), tape)
 
 
-def test_stamped_twists_and_positions_alone_will_do(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_differences_positions(tape: Path, tmp_path: Path) -> None:
     bag = make_bag(tape, TOPICS, change=without_velocities)
     assert_same_drive(read_bag(write_mcap(tmp_path / "bag.mcap", bag)), tape, off=1.0)
 
 
-def test_an_odometry_will_do(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_reads_an_odometry(tape: Path, tmp_path: Path) -> None:
     topics = {"/odom": "/base/odom", "/cmd_vel_sent": "/base/cmd_vel", "/scan": "/scan"}
-    found = read_bag(write_mcap(tmp_path / "bag.mcap", make_bag(tape, topics)))
-    assert_same_drive(found, tape, off=0.1)
+    bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, topics))
+    assert_same_drive(read_bag(bag), tape, off=0.1)
 
 
-def test_two_wheels_stand_for_their_sides(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_takes_two_wheels_for_their_sides(tape: Path, tmp_path: Path) -> None:
     names = ("right_wheel_joint", "left_wheel_joint", "arm_1", "arm_2")
     bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, TOPICS, names))
     robot = ROBOT.with_(ros2={"joints": {"right": names[0], "left": names[1]}})
@@ -103,7 +102,7 @@ def test_two_wheels_stand_for_their_sides(tape: Path, tmp_path: Path) -> None:
     assert abs(episode.poses[-1, 0]) > 0.5
 
 
-def test_wiring_of_the_robot_is_kept(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_keeps_the_wiring_of_the_robot(tape: Path, tmp_path: Path) -> None:
     crossed = ROBOT.with_(
         wheels={
             "a": {"motor": "b", "encoder": "b", "sign": -1},
@@ -116,11 +115,11 @@ def test_wiring_of_the_robot_is_kept(tape: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(speeds, episode.speeds, atol=0.006)
 
 
-def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:
-    odd = ("a", "b", "c", "d")
-    without = write_mcap(tmp_path / "odd.mcap", make_bag(tape, TOPICS, odd))
+def test_open_recording_explains_what_a_bag_lacks(tape: Path, tmp_path: Path) -> None:
+    odd = write_mcap(tmp_path / "odd.mcap", make_bag(tape, TOPICS, ("a", "b", "c", "d")))
     with pytest.raises(ConfigError, match=r"odd.mcap: has no wheel speeds, .*joints are a, b, c"):
-        read_bag(without)
+        read_bag(odd)
+
     scans = write_mcap(tmp_path / "scans.mcap", make_bag(tape, {"/scan": "/scan"}))
     with pytest.raises(ConfigError, match=r"it has /scan \(sensor_msgs/msg/LaserScan\)"):
         read_bag(scans)
@@ -132,13 +131,14 @@ def test_what_a_bag_lacks_is_one_line(tape: Path, tmp_path: Path) -> None:
     (tmp_path / "bad.db3").write_bytes(b"no database" * 100)
     with pytest.raises(ConfigError, match="isn't a ROS 2 bag"):
         read_bag(tmp_path / "bad.db3")
+
     blind = make_bag(tape, {"/joint_states": "/joint_states"})
-    found = read(open_recording(write_mcap(tmp_path / "blind.mcap", blind), ROBOT))
+    recording = read_bag(write_mcap(tmp_path / "blind.mcap", blind))
     with pytest.raises(ConfigError, match="left out, holds no commands, or no feedback"):
-        measure_gap([("blind", found)], ("robot", ROBOT), ("robot", ROBOT))
+        measure_gap([("blind", recording)], ("robot", ROBOT), ("robot", ROBOT))
 
 
-def test_a_damaged_bag_without_its_end_says_so(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_warns_of_a_cut_bag(tape: Path, tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "bag.mcap", make_bag(tape, {"/joint_states": "/joint_states"}))
     data = bytearray(path.read_bytes())
     path.write_bytes(data[: len(data) * 3 // 4])
@@ -149,20 +149,21 @@ def test_a_damaged_bag_without_its_end_says_so(tape: Path, tmp_path: Path) -> No
 def write_joints(
     path: Path, rate: float, states: Callable[[float], tuple[list[float], list[float]]]
 ) -> Path:
-    """A bag of ten seconds; `states` returns positions and velocities at a time."""
+    """A bag of ten seconds. `states` returns positions and velocities at a time."""
     kind = "sensor_msgs/msg/JointState"
     bag = []
     for number in range(round(10.0 * rate)):
         stamp = number / rate
         positions, velocities = states(stamp)
-        message = messages.make_blank(kind, name=list(JOINTS))
-        message.position, message.velocity = np.array(positions), np.array(velocities)
+        message = messages.make_message(kind, name=list(JOINTS))
+        message.position = np.array(positions)
+        message.velocity = np.array(velocities)
         data = bytes(messages.load_typestore().serialize_cdr(message, kind))
         bag.append(("/joint_states", kind, round(stamp * 1e9), data))
     return write_mcap(path, bag)
 
 
-def test_zeros_of_a_second_publisher_are_left_out(tmp_path: Path) -> None:
+def test_open_recording_leaves_out_zeros_of_a_second_publisher(tmp_path: Path) -> None:
     """A joint_state_publisher, whose positions are zero, runs beside the robot's own publisher."""
 
     def with_zeros(stamp: float) -> tuple[list[float], list[float]]:
@@ -179,7 +180,7 @@ def test_zeros_of_a_second_publisher_are_left_out(tmp_path: Path) -> None:
         np.testing.assert_allclose(episode.speeds[1:], 2.0, atol=1e-6)
 
 
-def test_wheels_that_are_too_fast_are_left_out_and_not_clipped(tmp_path: Path) -> None:
+def test_open_recording_leaves_out_wheels_that_are_too_fast(tmp_path: Path) -> None:
     bag = write_joints(
         tmp_path / "bag.mcap", 100.0, lambda stamp: ([], [150.0 if stamp == 5.0 else 3.0] * 4)
     )
@@ -188,7 +189,7 @@ def test_wheels_that_are_too_fast_are_left_out_and_not_clipped(tmp_path: Path) -
     assert set(episode.speeds.ravel()) == {3.0}
 
 
-def test_positions_at_a_low_rate_are_read_or_refused(tmp_path: Path) -> None:
+def test_open_recording_refuses_wrapping_positions_at_a_low_rate(tmp_path: Path) -> None:
     """At 5 Hz a wheel at 20 rad/s turns by more than half a turn between two messages."""
     turning = write_joints(tmp_path / "turning.mcap", 5.0, lambda stamp: ([20.0 * stamp] * 4, []))
     (episode,) = read_bag(turning).episodes
@@ -201,34 +202,27 @@ def test_positions_at_a_low_rate_are_read_or_refused(tmp_path: Path) -> None:
         read_bag(write_joints(tmp_path / "wrapped.mcap", 5.0, wrapped))
 
 
-def test_what_sqlite_wrote_last_is_read(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_reads_what_sqlite_wrote_last(tape: Path, tmp_path: Path) -> None:
     """A recorder that was killed leaves it in a file beside the bag."""
     bag = make_bag(tape, TOPICS)
     (file,) = write_folder(tmp_path / "bag", bag, StoragePlugin.SQLITE3).glob("*.db3")
-    live, source = tmp_path / "live.db3", sqlite3.connect(file)
+    live = tmp_path / "live.db3"
     database = sqlite3.connect(live)
     database.execute("pragma journal_mode=wal")
     database.execute("pragma wal_autocheckpoint=0")
-    for (statement,) in source.execute(
-        "select sql from sqlite_master where sql is not null and name not like 'sqlite_%'"
-    ).fetchall():
-        database.execute(statement)
-    database.execute("pragma wal_checkpoint(truncate)")
-    for table in ("topics", "messages"):
-        rows = source.execute(f"select * from {table}").fetchall()  # noqa: S608 - our own names
-        marks = ",".join("?" * len(rows[0]))
-        database.executemany(f"insert into {table} values ({marks})", rows)  # noqa: S608
-        database.commit()
+    with sqlite3.connect(file) as source:
+        database.executescript("\n".join(source.iterdump()))
+
     (tmp_path / "crashed").mkdir()
     for end in ("", "-wal"):
         shutil.copy(f"{live}{end}", tmp_path / f"crashed/bag.db3{end}")
-    before = {path: path.read_bytes() for path in (tmp_path / "crashed").iterdir()}
+    content = {path: path.read_bytes() for path in (tmp_path / "crashed").iterdir()}
     assert_same_drive(read_bag(tmp_path / "crashed" / "bag.db3"), tape)
     assert_same_drive(read_bag(tmp_path / "crashed"), tape)
-    assert before == {path: path.read_bytes() for path in (tmp_path / "crashed").iterdir()}
+    assert content == {path: path.read_bytes() for path in (tmp_path / "crashed").iterdir()}
 
 
-def test_packed_files_and_bags_without_a_storage_are_read(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_unpacks_files_and_messages(tape: Path, tmp_path: Path) -> None:
     bag = make_bag(tape, TOPICS)
     plain = write_mcap(tmp_path / "bag.mcap", bag)
     packed = tmp_path / "packed.mcap.zstd"
@@ -247,7 +241,7 @@ def test_packed_files_and_bags_without_a_storage_are_read(tape: Path, tmp_path: 
     assert_same_drive(read_bag(file), tape)
 
 
-def test_one_of_several_robots_is_chosen(tape: Path, tmp_path: Path) -> None:
+def test_open_recording_chooses_a_robot(tape: Path, tmp_path: Path) -> None:
     bag = [
         message
         for name in ("/robot1", "/robot2")
@@ -261,16 +255,13 @@ def test_one_of_several_robots_is_chosen(tape: Path, tmp_path: Path) -> None:
     assert_same_drive(read_bag(path, topics=("/robot1",)), tape)
 
 
-def test_motors_are_identified_from_a_bag(tmp_path: Path) -> None:
+def test_identify_files_reads_a_bag(tmp_path: Path) -> None:
     slow = ROBOT.with_(motor={"time_constant": 0.25})
     path = tmp_path / "slow.mcap"
     drive(path, slow, 2000)
     bag = write_mcap(tmp_path / "bag.mcap", make_bag(path, TOPICS))
     recording = open_recording(bag, ROBOT)
-    found = identify_files([recording], ROBOT)
-    lags = [one.value for one in found.findings if one.name == "motor.time_constant" and one.told]
-    assert lags
-    assert all(lag == pytest.approx(0.25, rel=0.15) for lag in lags if lag is not None)
-    logs = set(found.logs)
-    again = read(open_recording(bag, slow))
-    assert logs & again.sources  # it isn't held out
+    fit = identify_files([recording], ROBOT)
+    (lag,) = {row.value for row in fit.findings if row.name == "motor.time_constant" and row.told}
+    assert lag == pytest.approx(0.25, rel=0.15)
+    assert set(fit.logs) & read_bag(bag, slow).sources  # it isn't held out

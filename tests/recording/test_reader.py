@@ -18,7 +18,7 @@ from mover_tools import HALL
 from recording_tools import drive, record_env
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import ConfigError, RecordingWarning
+from acsar_gym.errors import ConfigError, LinkLostError, RecordingWarning
 from acsar_gym.recording import Recording, read
 from acsar_gym.recording.blocks import (
     FORMAT,
@@ -45,49 +45,30 @@ def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_env(path, "obstacle_goal", 2, worlds=HALL)
 
 
-def content(recording: Recording) -> list[tuple[bytes, ...]]:
-    return [
-        (
-            episode.poses.tobytes(),
-            b"".join(episode.wire.sent),
-            episode.observations.tobytes(),
-            episode.movers.states.tobytes(),
-        )
-        for episode in recording.episodes
-    ]
-
-
 def assert_part_of(recording: Recording, whole: Recording) -> None:
-    """All that was read is what was written."""
+    """Everything that was read is what was written."""
+    episodes = {episode.offset: episode for episode in whole.episodes}
     for episode in recording.episodes:
-        (full,) = [
-            full
-            for full in whole.episodes
-            if full.start + full.offset / 1e9 == (episode.start + episode.offset / 1e9)
-        ]
+        full = episodes[episode.offset]
         kept = np.isin(full.stamps, episode.stamps)
         np.testing.assert_array_equal(episode.poses, full.poses[kept])
         np.testing.assert_array_equal(episode.truth, full.truth[kept])
 
 
 @pytest.mark.parametrize("share", [0.5, 0.75, 0.99])
-def test_a_cut_file_is_read_up_to_its_cut(share: float, tape: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("zeros", [0, 4096], ids=["cut", "zeros"])
+def test_read_a_cut_file_up_to_its_cut(
+    share: float, zeros: int, tape: Path, tmp_path: Path
+) -> None:
+    """A computer that lost its power may leave zeros at the end."""
     cut = tmp_path / "cut.mcap"
     data = tape.read_bytes()
-    cut.write_bytes(data[: int(share * len(data))])
+    cut.write_bytes(data[: int(share * len(data))] + bytes(zeros))
     recording = read(cut)
     assert recording.cut
     assert recording.config == read(tape).config
     assert len(recording.episodes[0].stamps) > 0
     assert_part_of(recording, read(tape))
-
-
-def test_zeros_at_the_end_count_as_cut(tape: Path, tmp_path: Path) -> None:
-    """A computer that lost its power may leave them."""
-    lost = tmp_path / "lost.mcap"
-    lost.write_bytes(tape.read_bytes()[:-50_000] + bytes(4096))
-    assert read(lost).cut
-    assert_part_of(read(lost), read(tape))
 
 
 def flip(tape: Path, tmp_path: Path, place: int, bit: int = 4) -> Path:
@@ -104,9 +85,10 @@ def find_blocks(tape: Path) -> list[int]:
         return [block.place for block in iterate_blocks(file, [])]
 
 
-def test_no_flipped_bit_goes_unreported(tape: Path, tmp_path: Path) -> None:
-    """Neither in the exact data nor in the messages for other programs."""
-    whole, size = read(tape), tape.stat().st_size
+def test_read_reports_each_flipped_bit(tape: Path, tmp_path: Path) -> None:
+    """In the exact data and in the messages for other programs."""
+    whole = read(tape)
+    size = tape.stat().st_size
     rng = np.random.default_rng(5)
     for place in [*rng.integers(0, size, 200), *range(0, 60, 3), *range(size - 40, size, 3)]:
         with warnings.catch_warnings(record=True) as caught:
@@ -116,15 +98,17 @@ def test_no_flipped_bit_goes_unreported(tape: Path, tmp_path: Path) -> None:
         assert_part_of(recording, whole)
 
 
-def test_a_damaged_block_costs_itself(tape: Path, tmp_path: Path) -> None:
-    whole, blocks = read(tape), find_blocks(tape)
-    path = flip(tape, tmp_path, blocks[3] + 2000)  # in the first episode, which has more
+def test_read_leaves_out_a_damaged_block(tape: Path, tmp_path: Path) -> None:
+    whole = read(tape)
+    path = flip(tape, tmp_path, find_blocks(tape)[3] + 2000)  # in the first episode
     with pytest.warns(RecordingWarning, match=r"is damaged: 1 damaged place left out .*recover"):
         recording = read(path)
     assert recording.missing > 0
     assert recording.dropped == 0
-    assert content(recording)[1] == content(whole)[1]
     assert_part_of(recording, whole)
+    second = recording.episodes[1]
+    assert second.wire.sent == whole.episodes[1].wire.sent
+    np.testing.assert_array_equal(second.movers.states, whole.episodes[1].movers.states)
 
     summary = summarize(path)
     headline, _, damage, *_ = summary_lines(summary)
@@ -135,15 +119,16 @@ def test_a_damaged_block_costs_itself(tape: Path, tmp_path: Path) -> None:
     with pytest.warns(RecordingWarning):
         link.open()
     link.reset(Scene())
-    with pytest.raises(Exception, match=r"has a gap, .*the file is damaged"):
+    with pytest.raises(LinkLostError, match=r"has a gap, .*the file is damaged"):
         for _ in range(1000):
             link.advance(0.01)
 
 
-def test_a_header_that_is_damaged_is_read_at_the_end(tape: Path, tmp_path: Path) -> None:
+def test_read_finds_a_damaged_header_at_the_end(tape: Path, tmp_path: Path) -> None:
     with pytest.warns(RecordingWarning, match="bytes from byte 0 on"):
         recording = read(flip(tape, tmp_path, find_blocks(tape)[0] + 500))
-    assert content(recording) == content(read(tape))
+    for episode, full in zip(recording.episodes, read(tape).episodes, strict=True):
+        np.testing.assert_array_equal(episode.observations, full.observations)
 
 
 def refused(path: Path) -> str:
@@ -157,21 +142,15 @@ def refused(path: Path) -> str:
 
 
 @pytest.mark.parametrize(
-    ("data", "text"),
-    [
-        (b"", "not an MCAP file"),
-        (MAGIC, "isn't a recording of acsar_gym"),
-        (b"x" * 100, "not an MCAP file"),
-    ],
-    ids=["empty", "magic", "noise"],
+    ("data", "text"), [(b"", "not an MCAP file"), (MAGIC, "isn't a recording of acsar_gym")]
 )
-def test_foreign_files_are_refused(data: bytes, text: str, tmp_path: Path) -> None:
+def test_read_refuses_foreign_files(data: bytes, text: str, tmp_path: Path) -> None:
     path = tmp_path / "file.mcap"
     path.write_bytes(data)
     assert text in refused(path)
 
 
-def test_a_file_that_was_cut_before_its_first_episode_says_so(tape: Path, tmp_path: Path) -> None:
+def test_read_explains_a_file_without_an_episode(tape: Path, tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     path.write_bytes(tape.read_bytes()[: find_blocks(tape)[1] + 9])
     assert "is cut before its first episode" in refused(path)
@@ -186,9 +165,9 @@ def write_blocks(path: Path, *blocks: bytes, **header: Any) -> Path:
         place = 0
         for block in (first.encode() + b"\n", *blocks, b'{"dropped": 0}\n'):
             file.flush()
-            before = zlib.crc32(path.read_bytes()[place:])
+            checksum = zlib.crc32(path.read_bytes()[place:])
             line, _, data = block.partition(b"\n")
-            head = json.dumps({**json.loads(line), "before": before})
+            head = json.dumps({**json.loads(line), "before": checksum})
             writer.add_attachment(0, 0, NAME, MEDIA_TYPE, head.encode() + b"\n" + data)
             file.flush()
             place = file.tell()
@@ -206,13 +185,6 @@ def make_exchanges(*stamps: float) -> Tables:
     return {"exchanges": table}
 
 
-def test_blocks_that_are_written_by_hand_are_read(tmp_path: Path) -> None:
-    path = write_blocks(tmp_path / "file.mcap", make_block(make_exchanges(0.5, 1.0)))
-    recording = read(path)
-    assert not recording.damages
-    assert recording.episodes[0].exchanges["stamp"].tolist() == [0.5, 1.0]
-
-
 MOVER = np.array([[[1.0, 2.0, 0.0, 0.0, 0.3]]])
 
 
@@ -220,7 +192,6 @@ MOVER = np.array([[[1.0, 2.0, 0.0, 0.0, 0.3]]])
     ("block", "text"),
     [
         (make_block(start=-1e300), "start = "),
-        (make_block(offset=2**70), "offset = "),
         (make_block(make_exchanges(5.0, 4.0)), "times go backwards"),
         (make_block(make_exchanges(np.nan)), "a time that is out of range"),
         (make_block({"mover_states": MOVER + np.inf}), "out of range"),
@@ -228,19 +199,23 @@ MOVER = np.array([[[1.0, 2.0, 0.0, 0.0, 0.3]]])
         (make_block({"wheels": np.zeros(3)}), "an unknown table"),
         (make_block(make_exchanges(1.0))[:-20], "can't be unpacked"),
     ],
-    ids=["start", "offset", "backwards", "nan", "infinite", "radius", "unknown", "short"],
+    ids=["start", "backwards", "nan", "infinite", "radius", "unknown", "short"],
 )
-def test_broken_blocks_are_refused(block: bytes, text: str, tmp_path: Path) -> None:
-    assert text in refused(write_blocks(tmp_path / "file.mcap", block))
+def test_read_refuses_broken_blocks(block: bytes, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "file.mcap"
+    sound = read(write_blocks(path, make_block(make_exchanges(0.5, 1.0))))
+    assert not sound.damages
+    assert sound.episodes[0].exchanges["stamp"].tolist() == [0.5, 1.0]
+    assert text in refused(write_blocks(path, block))
 
 
-def test_other_formats_are_named(tmp_path: Path) -> None:
+def test_read_names_other_formats(tmp_path: Path) -> None:
     path = write_blocks(tmp_path / "file.mcap", make_block(), format=FORMAT + 1)
     assert f"format {FORMAT + 1}: this version reads format {FORMAT}" in refused(path)
 
 
 @pytest.mark.parametrize("declared", [3, 60_000_000], ids=["short", "long"])
-def test_what_a_foreign_file_unpacks_to_is_bounded(declared: int, tmp_path: Path) -> None:
+def test_read_bounds_what_a_file_unpacks_to(declared: int, tmp_path: Path) -> None:
     """Neither what a block declares nor what its compressed data declare is believed."""
     packed = zstandard.compress(bytes(60_000_000))
     line = {**OPENING, "before": 0, "tables": {"sent_bytes": [declared, len(packed)]}}
@@ -250,11 +225,11 @@ def test_what_a_foreign_file_unpacks_to_is_bounded(declared: int, tmp_path: Path
         _ = read(path).episodes[0].wire
 
 
-def test_a_long_recording_is_read_piece_by_piece(tmp_path: Path) -> None:
-    """A table is read when it is needed, and from the same file."""
+def test_read_takes_a_table_when_it_is_needed(tmp_path: Path) -> None:
+    """From the same file."""
     path = drive(tmp_path / "tape.mcap", RobotConfig.of(None), 300)
     (episode,) = read(path).episodes
-    assert set(episode.__dict__).isdisjoint({"poses", "wire", "scans"})
+    assert not episode.tables
     assert len(episode.poses) == 300
     path.write_bytes(path.read_bytes()[:-50_000])
     with pytest.raises(ConfigError, match=r"tape\.mcap: has changed since it was read"):

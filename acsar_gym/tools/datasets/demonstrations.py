@@ -21,7 +21,6 @@ from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, RecordingWarning, escape_unprintable
 from acsar_gym.recording import Recording, read
-from acsar_gym.recording.export import is_incomplete
 from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.recording.types import Episode, Floats
 from acsar_gym.safety.rules import Reason
@@ -113,9 +112,9 @@ def read_demonstrations(
 def _read_recording(path: Path, env: str, goal: Goal | None) -> Demonstrations:
     recording = read(path)
     if recording.cut:
-        loss = "the last episode is left out" if is_incomplete(recording) else "its end is missing"
+        loss = "the last episode is left out" if recording.is_incomplete else "its end is missing"
         warnings.warn(f"{path}: the file is cut: {loss}", RecordingWarning, stacklevel=4)
-    complete = recording.episodes[: len(recording.episodes) - is_incomplete(recording)]
+    complete = recording.episodes[: len(recording.episodes) - recording.is_incomplete]
     about = recording.header["about"]
     recorded_env = about["env"].get("id") if isinstance(about.get("env"), Mapping) else None
     policy = about["policy"].get("file") if isinstance(about.get("policy"), Mapping) else None
@@ -135,7 +134,7 @@ def _read_recording(path: Path, env: str, goal: Goal | None) -> Demonstrations:
         finally:
             replayed.close()
         if not episodes:
-            lacking = "whole episode" if is_incomplete(recording) else "episode that fits"
+            lacking = "whole episode" if recording.is_incomplete else "episode that fits"
             raise ConfigError(f"{path}: holds no {lacking}: drive from a start to another place")
         env_id = strip_module(env_id)
         names = list(replayed.task.observation)

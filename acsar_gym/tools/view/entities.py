@@ -16,8 +16,7 @@ from acsar_gym.errors import AcsarError, escape_unprintable
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.protocol import WHEELS
 from acsar_gym.recording.events import split_columns
-from acsar_gym.recording.reader import split_pieces
-from acsar_gym.recording.types import Episode, Floats
+from acsar_gym.recording.types import Episode, Floats, split_pieces
 from acsar_gym.render.top_view import MOVER_COLOUR, TRUTH_COLOUR
 from acsar_gym.safety.rules import Reason
 from acsar_gym.worlds import World
@@ -34,20 +33,18 @@ STEP_TICKS = 10  # ticks between two points of a path
 MOVERS_RATE = 20.0  # how often a second movers are shown [Hz]
 GOAL_RADIUS = 0.15  # of the ring around the goal [m]
 CIRCLE = np.exp(1j * np.linspace(0.0, math.tau, 33))
-COLOURS = {
-    "measured": (217, 100, 10),
-    "sent": (60, 130, 240),
-    "asked": (150, 156, 164),
-    "path": (60, 130, 240),
-    "truth": TRUTH_COLOUR,
-    "scan": (20, 190, 190),
-    "seen": (120, 130, 140),
+BLUE = (60, 130, 240)
+LINES = {"path": (BLUE, -2.0), "truth": (TRUTH_COLOUR, -1.0), "movers": (MOVER_COLOUR, -1.5)}
+POINTS = {"scan": ((20, 190, 190), -2.5), "seen": ((120, 130, 140), -1.2)}
+"""Colours of lines and points, and their radii, which Rerun takes as pixels if negative."""
+FIXED = {
+    "robot/footprint": BLUE,
+    "goal": (26, 170, 100),
     "world/obstacles": (200, 90, 80),
     "world/route": (26, 143, 90),
-    "goal": (26, 170, 100),
-    "movers": MOVER_COLOUR,
-    "robot/footprint": (60, 130, 240),
 }
+"""Colours of lines that stay."""
+PLOTS = {"measured": (217, 100, 10), "sent": BLUE, "asked": (150, 156, 164)}
 SCALARS = {
     "command/linear/asked": "asked_linear",
     "command/linear/sent": "sent_linear",
@@ -55,10 +52,8 @@ SCALARS = {
     "command/angular/asked": "asked_angular",
     "command/angular/sent": "sent_angular",
     "command/angular/measured": "angular",
-    **{
-        f"wheels/{wheel}/measured": f"speed_{letter}"
-        for wheel, letter in zip(WHEELS, "abcd", strict=True)
-    },
+    "lateness": "lateness",
+    **{f"wheels/{WHEELS[number]}/measured": f"speed_{'abcd'[number]}" for number in range(4)},
 }
 """Entities of plots, and the columns of ticks that they show."""
 HITS = {ROBOT_HIT: "runs into a mover", PERSON_HIT: "a mover runs into it"}
@@ -70,8 +65,8 @@ REASONS: Mapping[int, tuple[str, str, tuple[int, int, int]]] = {
     Reason.EMERGENCY_STOP: ("emergency stop: held", "ERROR", (200, 30, 43)),
 }
 """In words, level in the log, and colour."""
-Points = NDArray[np.complexfloating[Any, Any]]  # x + iy [m]
 UNKNOWN_REASON = ("unknown", "INFO", (0, 0, 0))
+Points = NDArray[np.complexfloating[Any, Any]]  # x + iy [m]
 Line = tuple[float, str, str]
 """A line of the log: time [s], text, level."""
 
@@ -81,7 +76,7 @@ class EpisodeLogger:
 
     Args:
         stream: The recording of Rerun.
-        config: The robot.
+        config: Robot configuration.
         header: Header of the recording.
     """
 
@@ -99,7 +94,8 @@ class EpisodeLogger:
         """Write a part, which has some of the rows of an episode's tables."""
         if not self._has_begun:
             self._has_begun = True
-            self._log_beginning(part)
+            self._log_styles()
+            self._log_surroundings(part)
         self._log_ticks(part)
         self._log_scans(part)
         self._log_movers(part)
@@ -117,32 +113,35 @@ class EpisodeLogger:
             index = rr.TimeColumn(TIMELINE, duration=times)
             self._stream.send_columns(f"{ROOT}/{entity}", [index], columns)
 
-    def _send_static(self, entity: str, archetype: Any) -> None:
-        self._stream.log(f"{ROOT}/{entity}", archetype, static=True)
-
-    def _draw(self, entity: str, lines: list[Points]) -> None:
-        """Draw lines of points x + iy that stay."""
-        strips = rr.LineStrips3D(list(map(_lift, lines)), colors=COLOURS[entity])
-        self._send_static(entity, strips)
-
     def _send_scalars(self, entity: str, times: Floats, values: Floats) -> None:
         is_known = np.isfinite(values)
         self._send(entity, times[is_known], rr.Scalars.columns(scalars=values[is_known]))
 
-    def _log_beginning(self, part: Episode) -> None:
-        """What doesn't change: robot, goal, world, and what lines are called."""
+    def _set(self, entity: str, archetype: Any) -> None:
+        """Set what doesn't change."""
+        self._stream.log(f"{ROOT}/{entity}", archetype, static=True)
+
+    def _draw(self, entity: str, lines: list[Points]) -> None:
+        """Draw lines of points x + iy that stay."""
+        self._set(entity, rr.LineStrips3D(list(map(_lift, lines)), colors=FIXED[entity]))
+
+    def _log_styles(self) -> None:
+        """Set colours, and the names of plots."""
+        for entity, (colour, radius) in LINES.items():
+            self._set(entity, rr.LineStrips3D.from_fields(colors=[colour], radii=[radius]))
+        for entity, (colour, radius) in POINTS.items():
+            self._set(entity, rr.Points3D.from_fields(colors=[colour], radii=[radius]))
+        for entity in (*SCALARS, *(f"wheels/{wheel}/sent" for wheel in WHEELS)):
+            kind = entity.rpartition("/")[2]
+            self._set(entity, rr.SeriesLines(colors=PLOTS.get(kind), names=kind))
+        words, _, colours = zip(*REASONS.values(), strict=True)
+        self._set("safety", rr.StateConfiguration(values=words, labels=words, colors=colours))
+
+    def _log_surroundings(self, part: Episode) -> None:
+        """Draw the robot's footprint, the goal and the world, and note that it begins."""
         corners = np.array([*self._config.outline, self._config.outline[0]]) @ (1.0, 1j)
         front = np.array([0.0, corners.real.max()], np.complex128)
         self._draw("robot/footprint", [corners, front])
-        for wheel in WHEELS:
-            self._name_plot(f"wheels/{wheel}/sent")
-        for entity in SCALARS:
-            self._name_plot(entity)
-        words, _, colours = zip(*REASONS.values(), strict=True)
-        states = rr.StateConfiguration(values=words, labels=words, colors=colours)
-        self._send_static("safety", states)
-        self._send_static("lateness", rr.SeriesLines(names="lateness [ms]"))
-
         goal = read_numbers(part, "goal", 2)
         if goal is not None:
             self._draw("goal", [complex(*goal) + GOAL_RADIUS * CIRCLE])
@@ -156,16 +155,12 @@ class EpisodeLogger:
         named = [f"{name} {part.info[name]}" for name in ("seed", "world") if name in part.info]
         self.log_lines([(0.0, f"begins: {', '.join(named)}" if named else "begins", "INFO")])
 
-    def _name_plot(self, entity: str) -> None:
-        kind = entity.rpartition("/")[2]
-        self._send_static(entity, rr.SeriesLines(colors=COLOURS[kind], names=kind))
-
     def _log_ticks(self, part: Episode) -> None:
         columns = split_columns(part.tables["ticks"])
+        columns["lateness"] = columns["lateness"] * 1e3  # [ms]
         times = columns["stamp"] - part.start
         for entity, name in SCALARS.items():
             self._send_scalars(entity, times, columns[name])
-        self._send_scalars("lateness", times, columns["lateness"] * 1e3)
         stamps, speeds = part.wire.commands(self._config)
         for wheel, sent in zip(WHEELS, speeds.T, strict=True):
             self._send_scalars(f"wheels/{wheel}/sent", stamps - part.start, sent)
@@ -182,38 +177,29 @@ class EpisodeLogger:
         self._log_path("truth", exchanges["stamp"] - part.start, true_points)
 
         changes = np.flatnonzero(self._changes("reason", part.reasons))
-        words = [
-            REASONS.get(reason, UNKNOWN_REASON)[0] for reason in part.reasons[changes].tolist()
-        ]
+        reasons = [REASONS.get(number, UNKNOWN_REASON) for number in part.reasons[changes].tolist()]
+        words = [word for word, _, _ in reasons]
         self._send("safety", times[changes], rr.StateChange.columns(state=words))
-        lines = []
-        for row in changes:
-            word, level, _ = REASONS.get(int(part.reasons[row]), UNKNOWN_REASON)
-            if level != "INFO":
-                lines.append((float(times[row]), word, level))
-        self.log_lines(lines)
+        lines = zip(times[changes].tolist(), reasons, strict=True)
+        self.log_lines([(time, word, kind) for time, (word, kind, _) in lines if kind != "INFO"])
 
     def _log_path(self, entity: str, times: Floats, points: Points) -> None:
-        """A path as short pieces, each at its own time, after the part before."""
+        """Write a path as short pieces, each at its own time, after the part before."""
         if not len(points):
             return
         rows = np.unique([*range(0, len(points), STEP_TICKS), len(points) - 1])
         corners = np.concatenate([self._ends.get(entity, points[:1]), points[rows]])
         self._ends[entity] = corners[-1:]
         pieces = _lift(np.stack([corners[:-1], corners[1:]], axis=1))
-        width = np.full(len(rows), -2.0 if entity == "path" else -1.0)
-        colours = [COLOURS[entity]] * len(rows)
-        columns = rr.LineStrips3D.columns(strips=list(pieces), colors=colours, radii=width)
-        self._send(entity, times[rows], columns)
+        self._send(entity, times[rows], rr.LineStrips3D.columns(strips=list(pieces)))
 
     def _log_scans(self, part: Episode) -> None:
-        """Points of each scan, and those of them that weren't seen before."""
+        """Write the points of each scan, and once a second those that stay."""
         config = self._config
         spec = ray_spec(config)
-        ranges = part.scans.ranges
+        stamps, ranges, _ = part.scans
         if ranges.shape[1] != spec.rays or not len(part.stamps):
             return
-        stamps = part.scans.stamps
         x, y = (np.interp(stamps, part.stamps, column) for column in part.poses.T[:2])
         headings = np.interp(stamps, part.stamps, np.unwrap(part.poses[:, 2]))
         mount = complex(config.lidar_x_offset, config.lidar_y_offset)
@@ -221,81 +207,66 @@ class EpisodeLogger:
         hits = (x + 1j * y)[:, None] + rays * np.exp(1j * headings)[:, None]
         is_hit = np.isfinite(ranges) & (ranges < config.lidar.max_range) & (ranges > 0.0)
 
-        points = [row[mask] for row, mask in zip(hits, is_hit, strict=True)]
         times = stamps - part.start
-        self._send_points("scan", times, points, pixels=2.5)
-        rows = np.flatnonzero(self._changes("second", np.floor(times)))
-        self._send_points("seen", times[rows], [points[row] for row in rows], pixels=1.2)
-
-    def _send_points(self, entity: str, times: Floats, rows: list[Points], pixels: float) -> None:
-        """Points of a size in pixels, which Rerun takes as negative radii."""
-        points = np.concatenate([*rows, np.zeros(0, np.complex128)])
-        columns = rr.Points3D.columns(
-            positions=_lift(points),
-            colors=[COLOURS[entity]] * len(points),
-            radii=np.full(len(points), -pixels),
-        )
-        self._send(entity, times, columns.partition([len(row) for row in rows]))
+        is_new = self._changes("second", np.floor(times)) != 0.0
+        for entity, rows in (("scan", is_new | True), ("seen", is_new)):
+            points = rr.Points3D.columns(positions=_lift(hits[rows][is_hit[rows]]))
+            self._send(entity, times[rows], points.partition(is_hit[rows].sum(axis=1)))
 
     def _log_movers(self, part: Episode) -> None:
-        """What moves, as rings, with lines to where each will be in a second."""
+        """Write what moves, as rings, with lines to where each will be in a second."""
         movers = part.movers
         rows = movers.exchanges % max(1, round(self._config.control_rate / MOVERS_RATE)) == 0
-        strips = []
+        strips: list[Floats] = []
         for x, y, x_rate, y_rate, radius in movers.states[rows].transpose(0, 2, 1)[..., None]:
             middle = x + 1j * y
-            rings = middle + radius * CIRCLE
             ahead = np.hstack([middle, middle + x_rate + 1j * y_rate])
-            strips += [_lift(_to_odometry(part, line)) for line in (*rings, *ahead)]
-        colours = [COLOURS["movers"]] * len(strips)
-        columns = rr.LineStrips3D.columns(strips=strips, colors=colours)
+            lines = (*(middle + radius * CIRCLE), *ahead)
+            strips += [_lift(_to_odometry(part, line)) for line in lines]
         counts = [2 * movers.states.shape[1]] * int(rows.sum())
-        self._send("movers", movers.stamps[rows] - part.start, columns.partition(counts))
+        columns = rr.LineStrips3D.columns(strips=strips).partition(counts)
+        self._send("movers", movers.stamps[rows] - part.start, columns)
 
     def _changes(self, name: str, values: NDArray[Any]) -> Floats:
         """Changes from row to row, (n,), also from the part before. 0 for the first row of all."""
         values = np.nan_to_num(values.astype(np.float64))
-        previous = self._last.get(name, values[:1].sum())
+        changes: Floats = np.diff(values, prepend=self._last.get(name, values[:1].sum()))
         if len(values):
             self._last[name] = float(values[-1])
-        changes: Floats = np.diff(values, prepend=previous)
         return changes
 
     def _list_lines(self, part: Episode) -> Iterator[Line]:
         """What happened in a part."""
         ticks = part.tables["ticks"]
-        lateness = part.lateness
-        for rows in _group_bursts(part.stamps, lateness > self._config.late_tick):
-            worst = float(lateness[rows].max()) * 1e3
-            text = f"late: {len(rows):,} tick{'s' * (len(rows) != 1)}, at worst by {worst:.1f} ms"
-            yield float(part.stamps[rows[0]] - part.start), text, "WARN"
-        for column, usual, text in (
-            ("refused", 0.0, "parts of the input were refused"),
-            ("exchange", 1.0, "control periods aren't recorded"),
+        stamps = part.stamps
+        late = np.where(part.lateness > self._config.late_tick, part.lateness, 0.0)
+        refused = self._changes("refused", ticks["refused"])
+        lost = self._changes("exchange", ticks["exchange"]) - 1.0
+        touched = self._changes("contact", part.exchanges["contact"])
+        for text, level, times, amounts in (
+            ("late: {count:,} ticks, at worst by {worst:.1f} ms", "WARN", stamps, 1e3 * late),
+            ("{total:,.0f} parts of the input were refused", "WARN", stamps, refused),
+            ("{total:,.0f} control periods aren't recorded", "WARN", stamps, lost),
+            ("touches an obstacle", "ERROR", part.exchanges["stamp"], touched),
         ):
-            more = self._changes(column, ticks[column]) - usual
-            for rows in _group_bursts(part.stamps, more > 0.0):
-                count = more[rows].sum()
-                yield float(part.stamps[rows[0]] - part.start), f"{count:,.0f} {text}", "WARN"
+            for rows in _group_bursts(times, amounts > 0.0):
+                burst = amounts[rows]
+                words = text.format(count=len(rows), total=burst.sum(), worst=burst.max())
+                yield float(times[rows[0]]) - part.start, words, level
 
-        exchanges = part.exchanges
-        touches = self._changes("contact", exchanges["contact"]) > 0.0
-        for rows in _group_bursts(exchanges["stamp"], touches):
-            yield float(exchanges["stamp"][rows[0]] - part.start), "touches an obstacle", "ERROR"
         hits = part.movers.hits
         for row in np.flatnonzero(self._changes("hit", hits)):
             text = HITS.get(float(hits[row]), "a contact")
-            yield float(part.movers.stamps[row] - part.start), text, "ERROR"
-        stamps = part.tables["faults"]["stamp"].tolist()
-        for stamp, fault in zip(stamps, split_pieces(part.tables, "faults"), strict=True):
+            yield float(part.movers.stamps[row]) - part.start, text, "ERROR"
+        faults = part.tables["faults"]["stamp"].tolist()
+        for stamp, fault in zip(faults, split_pieces(part.tables, "faults"), strict=True):
             yield stamp - part.start, fault.decode(errors="replace"), "ERROR"
         for step in part.tables["steps"][-1:]:
             if step["terminated"] or step["truncated"]:
-                how = "failed" if step["terminated"] else "cut short by a fault"
-                how = "solved" if step["success"] else how
+                failure = "failed" if step["terminated"] else "cut short by a fault"
+                text = f"ends: {'solved' if step['success'] else failure}, {step['step']:,} steps"
                 level = "INFO" if step["success"] else "WARN"
-                text = f"ends: {how}, {step['step']:,} steps"
-                yield float(step["stamp"] - part.start), text, level
+                yield float(step["stamp"]) - part.start, text, level
 
 
 def _lift(points: Points) -> Floats:
@@ -353,37 +324,32 @@ def make_blueprint(part: Episode, *, is_live: bool) -> rrb.Blueprint:
         start=rrb.TimeRangeBoundary.infinite(),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
-    x, y = read_numbers(part, "goal", 2) or (0.0, 0.0)
-    height = 1.2 * max(math.hypot(x, y), 3.0) + 2.0
-    eye = rrb.EyeControls3D(
-        position=(x / 2.0, y / 2.0 - 0.01, height), look_target=(x / 2.0, y / 2.0, 0.0)
-    )
+    x, y = np.divide(read_numbers(part, "goal", 2) or (0.0, 0.0), 2.0).tolist()
+    height = 2.4 * max(math.hypot(x, y), 1.5) + 2.0
+    eye = rrb.EyeControls3D(position=(x, y - 0.01, height), look_target=(x, y, 0.0))
     above = rrb.Spatial3DView(
         name="From above",
         contents="/**",
         overrides={f"{ROOT}/{name}": [past] for name in TRAILS},
         eye_controls=eye,
     )
-
-    def plot(name: str, entity: str) -> rrb.TimeSeriesView:
-        return rrb.TimeSeriesView(name=name, contents=f"/{ROOT}/{entity}/**")
-
-    names = ("front_left", "front_right", "rear_left", "rear_right")
-    wheels = [plot(f"{name.replace('_', ' ')} [rad/s]", f"wheels/{name}") for name in names]
-    linear = plot("linear [m/s]", "command/linear")
-    angular = plot("angular [rad/s]", "command/angular")
+    plots = [
+        rrb.TimeSeriesView(name=f"{entity} [{unit}]", contents=f"/{ROOT}/{entity}/**")
+        for entity, unit in (
+            ("wheels/front_left", "rad/s"),
+            ("wheels/front_right", "rad/s"),
+            ("wheels/rear_left", "rad/s"),
+            ("wheels/rear_right", "rad/s"),
+            ("command/linear", "m/s"),
+            ("command/angular", "rad/s"),
+            ("lateness", "ms"),
+        )
+    ]
     why = rrb.StateTimelineView(name="Safety layer", contents=f"/{ROOT}/safety")
-    lateness = plot("Lateness [ms]", "lateness")
     log = rrb.TextLogView(name="Log", contents=f"/{ROOT}/log")
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(above, log, row_shares=[3, 1]),
-            rrb.Vertical(
-                rrb.Grid(*wheels, grid_columns=2),
-                rrb.Horizontal(linear, angular),
-                rrb.Horizontal(why, lateness),
-                row_shares=[5, 3, 2],
-            ),
+            rrb.Vertical(above, log, row_shares=[3, 1]), rrb.Grid(*plots, why, grid_columns=2)
         ),
         rrb.TimePanel(
             timeline=TIMELINE,

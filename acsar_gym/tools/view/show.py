@@ -23,7 +23,6 @@ from acsar_gym.physics.bodies import BODIES
 from acsar_gym.recording import Episode, Recording, read
 from acsar_gym.recording.blocks import Head
 from acsar_gym.recording.events import Tables
-from acsar_gym.recording.reader import TableEpisode
 from acsar_gym.recording.recorder import SinkMaker
 from acsar_gym.recording.tabulator import Sink
 from acsar_gym.tools.view.entities import EpisodeLogger, make_blueprint
@@ -59,7 +58,7 @@ class RerunSink(Sink):
         """Show a block of a drive that goes on."""
         self._is_live = True
         with contextlib.suppress(Exception):  # of a viewer that was closed: the drive goes on
-            self.show(head["episode"], TableEpisode.of(Head.model_validate(head), tables))
+            self.show(head["episode"], Episode(Head.model_validate(head), tables))
 
     def show(self, number: int, part: Episode) -> None:
         """Show a part of an episode with a number."""
