@@ -14,6 +14,14 @@ AcsarError
 
 AcsarWarning
   SafetyWarning, RecordingWarning
+
+Example:
+    >>> from acsar_gym import RobotConfig, errors
+    >>> try:
+    ...     RobotConfig.preset("no_such_robot")
+    ... except errors.ConfigError as error:
+    ...     error.exit_code
+    2
 """
 
 from __future__ import annotations
@@ -42,13 +50,13 @@ class AcsarError(Exception):
         exit_code: Exit code of the command line.
 
     Example:
-        from acsar_gym import RobotConfig
-        from acsar_gym.errors import AcsarError
-
-        try:
-            RobotConfig(wheel_radius=-1.0)
-        except AcsarError as error:
-            assert "wheel_radius" in str(error)
+        >>> from acsar_gym import RobotConfig
+        >>> from acsar_gym.errors import AcsarError
+        >>> try:
+        ...     RobotConfig(wheel_radius=-1.0)
+        ... except AcsarError as error:
+        ...     "wheel_radius" in str(error)
+        True
     """
 
     exit_code = 1

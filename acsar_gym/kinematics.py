@@ -2,6 +2,12 @@
 
 Wheel order is front_right, front_left, rear_left, rear_right. A twist is (linear [m/s] along +x,
 angular [rad/s], counter-clockwise positive) in the base frame of REP 103.
+
+Example:
+    >>> from acsar_gym import kinematics
+    >>> speeds = kinematics.inverse(0.5, 0.0, wheel_radius=0.05, wheel_separation=0.3)
+    >>> kinematics.forward(speeds, wheel_radius=0.05, wheel_separation=0.3)
+    (0.5, 0.0)
 """
 
 from __future__ import annotations

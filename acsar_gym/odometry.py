@@ -1,4 +1,12 @@
-"""Wheel odometry: equations (1)-(11) of the robot's hardware interface document."""
+"""Wheel odometry: equations (1)-(11) of the robot's hardware interface document.
+
+Example:
+    >>> from acsar_gym import odometry
+    >>> track = odometry.Odometry(wheel_radius=0.05, wheel_separation=0.3)
+    >>> track.update((10.0, 10.0, 10.0, 10.0), dt=2.0)
+    >>> track.twist
+    (0.5, 0.0)
+"""
 
 from __future__ import annotations
 
@@ -58,7 +66,7 @@ class Odometry:
             diff_drive_controller. With 1.0 the equations are those of the document.
 
     Attributes:
-        pose: x [m], y [m], theta [rad] within [-pi, pi].
+        pose: Pose x [m], y [m], theta [rad] within [-pi, pi].
         twist: Linear [m/s] and angular velocity [rad/s], in the base frame.
         wheel_positions: Integrated wheel angles [rad], in the order of `protocol.WHEELS`.
         pose_covariance: Row-major 6 x 6 matrix of (x, y, z, roll, pitch, yaw).

@@ -5,6 +5,14 @@ c rear_left, d rear_right), direction (p forward, n backward), and speed in rad/
 and two decimals. The last comma is optional. Numbers in feedback may also be unpadded (`ap5.23`,
 `ap105.20`, `ap 5.00`, `ap-3.20`), as the robot's own driver reads these as well.
 Source: the robot's hardware interface document, sections 2.3 and 5.3.2.
+
+Example:
+    >>> from acsar_gym import protocol
+    >>> line = protocol.encode((12.5, -8.75, 15.0, -10.25))
+    >>> line
+    b'ap12.50,bn08.75,cp15.00,dn10.25,\r\n'
+    >>> protocol.Decoder().feed(line)[0].speeds
+    (12.5, -8.75, 15.0, -10.25)
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ def read_file(path: Path, limit: int, error: type[AcsarError] = ConfigError) -> 
         error: Class of the exception.
 
     Raises:
-        AcsarError: As `error`, if the file isn't regular, is too large, or can't be read. The
+        AcsarError: The file isn't regular, is too large, or can't be read. The
             message starts with the path.
     """
     try:
@@ -70,7 +70,7 @@ def open_file(path: Path) -> Iterator[BufferedReader]:
     """Open a regular file to read it piece by piece.
 
     Raises:
-        ConfigError: As by `read_file`, also if reading fails inside the block.
+        ConfigError: The file can't be read, see `read_file`, or reading fails inside the block.
     """
     try:
         with _open_regular(path, ConfigError) as file:
@@ -105,7 +105,7 @@ def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigEr
     """Write a file as `replace_file` does.
 
     Raises:
-        AcsarError: As `error`, if the file can't be written.
+        AcsarError: The file can't be written. Its class is `error`.
     """
     try:
         with replace_file(path) as new:
@@ -194,7 +194,7 @@ def parse_json(text: str | bytes, error: type[AcsarError] = ConfigError) -> Any:
     """Parse JSON.
 
     Raises:
-        AcsarError: As `error`, for invalid JSON, NaN and numbers that are too large.
+        AcsarError: The JSON is invalid, or a number is NaN or too large. Its class is `error`.
     """
     try:
         return json.loads(text, parse_float=_parse_finite, parse_constant=_parse_finite)
@@ -239,7 +239,7 @@ def parse_yaml(text: str, error: type[AcsarError] = ConfigError) -> Any:
         error: Class of the exception.
 
     Raises:
-        AcsarError: As `error`, for invalid YAML, several documents, and too deep nesting.
+        AcsarError: The YAML is invalid, several documents, or nested too deeply.
     """
     try:
         depth = 0

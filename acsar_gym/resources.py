@@ -48,7 +48,7 @@ def hash_modules(*modules: str) -> str:
     """Hash the sources of modules, and of the user's own modules that they import.
 
     Args:
-        *modules: their names.
+        *modules: Names of the modules.
 
     Returns:
         The hash. Empty where a module has no source file.

@@ -178,7 +178,7 @@ class Robot:
 
         Args:
             scene: Start, goal, world and physics. Only simulated links use it.
-            rng: For the noise of sensors. None for a new generator with seed 0.
+            rng: Generator for the noise of sensors. None for a new generator with seed 0.
 
         Raises:
             LinkError: Link or sensors don't work, the board is silent, or the wheels keep turning.

@@ -165,7 +165,7 @@ class Wire:
         """Command zero until the wheels are at rest. Periods are counted, since clocks may jump.
 
         Raises:
-            LinkError: As for `exchange`, or the wheels keep turning.
+            LinkError: The link or the board fails, or the wheels keep turning.
         """
         lines_at_rest = 0
         for _ in range(math.ceil(STANDSTILL_TIMEOUT / self._period)):

@@ -18,7 +18,10 @@ REACH = 3.0
 class ThreeRays(acsar_gym.Sensor):
     """Three noisy rays ahead, as shares of their reach."""
 
-    name, size, low, high = "three_rays", 3, 0.0, 1.0
+    name = "three_rays"
+    size = 3
+    low = 0.0
+    high = 1.0
     noise = 0.01
     """[m]"""
 

@@ -57,7 +57,7 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
         slow: The slower rate [Hz].
 
     Returns:
-        fast / slow as an int.
+        The ratio fast / slow as an int.
 
     Raises:
         ConfigError: The ratio isn't an integer of at least 1, or `slow` is below 0.01 Hz.
@@ -112,6 +112,12 @@ class RobotConfig(Section):
 
     Speeds are at most 1,000, rates 10,000 Hz, times 1 h and lengths 100 m, and wheels have a radius
     of 5 mm to 1 m.
+
+    Example:
+        >>> from acsar_gym import RobotConfig
+        >>> config = RobotConfig(wheel_radius=0.06, serial_port="/dev/ttyUSB0")
+        >>> config.with_(lidar={"noise": 0.0}).wheel_radius
+        0.06
     """
 
     hints: ClassVar[Mapping[str, str]] = HINTS

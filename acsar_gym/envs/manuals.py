@@ -206,7 +206,7 @@ class BarnEnv(RegisteredEnv):
     ## Arguments
 
     - `worlds`: "barn:train", 400 worlds generated like the published ones, or "barn:test", the 300
-      that `acsar-gym evaluate` tests in; or a folder of published worlds, `world_N.world` with
+      that `acsar-gym evaluate` tests in. Or a folder of published worlds, `world_N.world` with
       `path_N.npy` next to them or in `path_files`.
 
     ## Info
@@ -214,7 +214,7 @@ class BarnEnv(RegisteredEnv):
     The score of the run, which is 0 until the goal is reached: success * OT / clip(AT, k * OT,
     8 * OT). AT is the time it took, and OT the length of the world's path divided by a speed.
     `barn_score` has k = 2 (the challenge since 2024) and `barn_score_k4` k = 4 (2022), both with
-    the challenge's 2 m/s; `barn_score_own` and `barn_score_own_k4` have the robot's own
+    the challenge's 2 m/s. `barn_score_own` and `barn_score_own_k4` have the robot's own
     `max_linear` instead. They are NaN if a goal is given, because the world's path doesn't lead
     there.
     """
@@ -385,7 +385,7 @@ class PathFollowEnv(RegisteredEnv):
 
     - `max_cross_track`: Farthest distance from the path [m].
     - `worlds`: "smooth_path:train" by default, or "waypoint_path:train", "smooth_path:test" and so
-      on; or a file, a folder or a list of worlds that have a path. `difficulty` is how tight
+      on. Or a file, a folder or a list of worlds that have a path. `difficulty` is how tight
       generated paths turn.
 
     ## Info

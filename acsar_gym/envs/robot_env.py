@@ -103,7 +103,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     - `worlds`: A set of generated worlds such as "clutter:train": "clutter:50" means the first 50,
       "clutter:100-149" those with these numbers, "clutter" the training split, and so on for the
       other kinds ("open", "rooms", "barn") and those that `acsar_gym.worlds.register` adds. Or a
-      file (.world, .sdf, ROS map, .json, .yaml), a folder of them, a World, or a list of World; or
+      file (.world, .sdf, ROS map, .json, .yaml), a folder of them, a World, or a list of World. Or
       a file with what it doesn't contain, {"path": "hall.sdf", "start": (0, 0, 1.57), "goal":
       (4, 0)}. A list such as ["clutter:train", "barn:train"] has the worlds of several sets:
       `info` has no number then, and `options={"world": "clutter 1017"}` chooses a world by its
@@ -126,7 +126,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
       `acsar-gym train` randomizes.
     - `on_fault`: "truncate" ends an episode in which the link or the board fails, with a number in
       info's `fault` (0 none, 1 silent, 2 garbled, 3 link lost, 4 LiDAR, 5 other, 6 a wheel that
-      contradicts its commands; reported at every step on hardware and with `faults`) and the whole
+      contradicts its commands, reported at every step on hardware and with `faults`) and the whole
       message in `fault_reason`. The next reset opens the link again. "raise" raises the LinkError.
     - `record`: File to which the whole drive is recorded (MCAP: topics of ROS 2, the raw wire, and
       what the policy saw and did). `link="replay:FILE"` plays it back. `close()` ends the file.
@@ -134,9 +134,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     ## Info
 
     The same floats at every step: `goal_distance` [m] and `is_success` by odometry, `odom_x`,
-    `odom_y`, `odom_theta`, `feedback_age` [s]; `sent_linear` [m/s] and `sent_angular` [rad/s], the
+    `odom_y`, `odom_theta`, `feedback_age` [s]. `sent_linear` [m/s] and `sent_angular` [rad/s], the
     twist that was sent in the last tick, and `sent_reason`, why it differs from the action (0 it
-    doesn't, 1 limits, 2 geofence, 3 stale feedback, 4 emergency stop); and what only a simulator
+    doesn't, 1 limits, 2 geofence, 3 stale feedback, 4 emergency stop). What only a simulator
     knows: `true_x`, `true_y`, `true_theta`, `true_goal_distance`, `true_contact` (whether the robot
     has touched something), and `odometry_error` [m], the distance between odometry and truth. Those
     are NaN on hardware. Everything is in the odometry frame. `drawn_` and the name of a randomized
@@ -149,9 +149,9 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     robot with LidarError.
 
     In worlds that move, NaN on hardware: `closest_person` [m], from the robot's hull to the nearest
-    person's now, 0 to 100; `time_to_collision` [s], until the circle around the robot would touch a
-    person if all kept their velocities, 0 to 10; `intrusions`, how often the robot has come within
-    0.45 m of a person so far; and `person_contact`: 0 none, 1 the robot ran into a person, 2 a
+    person's now, 0 to 100. `time_to_collision` [s], until the circle around the robot would touch a
+    person if all kept their velocities, 0 to 10. `intrusions`, how often the robot has come within
+    0.45 m of a person so far. `person_contact`: 0 none, 1 the robot ran into a person, 2 a
     person ran into the robot.
 
     ## Version history
@@ -240,6 +240,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ConfigError(
                 f"link {link!r} has no camera; view='camera' needs link {LINKS_WITH_CAMERA}"
             )
+
+        # PyBullet's own window needs no Pillow.
         if self.render_mode is not None and chosen.view == "top" and not own_window:
             check_extra("pictures", "pictures", "PIL")
         self._screen = Screen(config, None if own_window else self.render_mode, chosen.view)
@@ -344,6 +346,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
             sensed = self._drive(twist)
         except LinkError as error:
             return self._end_by_fault(episode, action, error)
+
+        # Steps that a fault ends aren't counted.
         episode.steps += 1
 
         with self._deactivating():
@@ -382,6 +386,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Drive for the ticks of a step, and return what the sensors read then."""
         linear = action[0] * self._max_twist[0]
         angular = action[1] * self._max_twist[1]
+
+        # One command for all ticks. Sensors are read after the last tick.
         for _ in range(self.ticks_per_step):
             self.robot.drive(linear, angular)
         return self.robot.read().astype(np.float32)
@@ -392,6 +398,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Truncate the episode with the last observation, or raise the error."""
         if self._last_step is None or self._options.on_fault == "raise":
             raise error
+
+        # Nothing was observed since: the last observation is the newest.
         self.robot.deactivate(error)
         observation, info = self._last_step
         self._last_step = None
@@ -434,6 +442,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Tell the robot's observer about the env, and the episode that begins."""
         about = {}
         if self.spec is not None:
+            # The recording of a drive doesn't depend on the device or the file.
             kwargs = {k: v for k, v in self.spec.kwargs.items() if k not in ("link", "record")}
             about = {"id": self.spec.id, "kwargs": kwargs}
 
@@ -491,6 +500,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._has_movers:
             info |= survey_movers(truth)._asdict()
         info |= episode.info() | self._randomizer.info()
+
+        # Only these can fail, and info has the same keys at every step.
         if self._faulty is not None or truth is None:
             info["fault"] = 0.0
         self.robot.add_sensor_info(info)
@@ -507,7 +518,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """The current episode.
 
         Raises:
-            ConfigError: before the first reset.
+            ConfigError: There was no reset.
         """
         if self._episode is None:
             raise ConfigError("there is no episode before reset(): call it first")
@@ -517,7 +528,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """Return a picture in mode rgb_array, (height, width, 3) uint8. None in other modes.
 
         Raises:
-            ConfigError: before the first reset.
+            ConfigError: There was no reset.
         """
         if self.render_mode != "rgb_array":
             return None
@@ -540,6 +551,8 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """A copy of a recorded env is recorded, although a copy of a robot isn't observed."""
         self.__dict__.update(state)
+
+        # Copies of a robot have no observer.
         if self._options.record is not None:
             robot = self.robot
             self.robot = Robot(robot.link, robot.config, tuple(robot.sensors), self._recorder)

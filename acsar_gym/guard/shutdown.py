@@ -73,7 +73,7 @@ def check_may_start() -> None:
     KeyboardInterrupt may have been swallowed, as no link was closed by it, it is raised again.
 
     Raises:
-        LinkError: As for `check_may_drive`.
+        LinkError: The program may not drive, see `check_may_drive`.
     """
     install_handlers()
     if _state.is_interrupted and _is_main_thread():

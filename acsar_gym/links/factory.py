@@ -84,20 +84,20 @@ def open_link(
     window: bool = False,
     realtime: bool | float = False,
 ) -> Link:
-    """Return a link, closed; it connects only in `open()` or `Robot.activate()`.
+    """Return a closed link. It connects only in `open()` or `Robot.activate()`.
 
     Args:
-        url: "bullet", "planar" or "mujoco" for a simulation; "/dev/ttyUSB0", "COM3",
+        url: "bullet", "planar" or "mujoco" for a simulation. "/dev/ttyUSB0", "COM3",
             "usb:A50285BI" (USB serial number of an adapter) or "socket://host:port" for a serial
-            device; "serial" for the device that the config names; "ros2" or "ros2:/namespace" for
-            a robot in ROS 2; "replay:FILE" for a recording.
-        config: Robot configuration, preset or file; None for the default.
-        window: Open PyBullet's window; implies `realtime`.
-        realtime: Run a simulation in real time instead of as fast as possible; a number is the
+            device. "serial" for the device that the config names. "ros2" or "ros2:/namespace" for
+            a robot in ROS 2. "replay:FILE" for a recording.
+        config: Robot configuration, preset or file. None for the default.
+        window: Whether to open PyBullet's window. Implies `realtime`.
+        realtime: Run a simulation in real time instead of as fast as possible. A number is the
             multiple of real time.
 
     Raises:
-        ConfigError: For any other URL, or for a robot that only the link "ros2" drives.
+        ConfigError: The URL is unknown, or only the link "ros2" can drive the robot.
         MissingExtraError: The simulator isn't installed.
 
     Example:
@@ -137,11 +137,12 @@ def is_device(url: str | os.PathLike[str]) -> bool:
 
 
 def _find_backend(url: str) -> Backend | None:
-    """The backend of a URL; None if it is unknown."""
+    """The backend of a URL. None if it is unknown."""
     for name, backend in BACKENDS.items():
         if url == name or (name.endswith(":") and url.startswith(name)):
             return backend
 
+    # Links below /dev/serial/by-id are devices as well.
     try:
         is_device_file = Path(url).is_char_device()  # or a symbolic link to one
     except (OSError, ValueError):

@@ -98,12 +98,15 @@ class FaultyWire:
     def carry(self, data: bytes, now: float) -> bytes:
         """Put bytes in, and return the lines that arrive at the other end now."""
         lines = (self._partial + data).splitlines(keepends=True)
+
+        # Bytes behind the last line end wait for the rest of their line.
         self._partial = b""
         if lines and not lines[-1].endswith((b"\r", b"\n")) and len(lines[-1]) <= MAX_LINE:
             self._partial = lines.pop()
         for line in lines:
             self._send(line, now)
 
+        # The queue keeps the order, so a late line holds back the lines behind it.
         arrived = b""
         while self._queue and self._queue[0][0] <= now + TIME_TOLERANCE:
             arrived += self._queue.popleft()[1]
@@ -150,6 +153,8 @@ class FaultyLink(LinkWrapper):
     def reset(self, scene: Scene) -> None:
         """Reset the link, and draw the faults of the new episode."""
         self.inner.reset(scene)
+
+        # The next episode's key doesn't depend on how long this episode is.
         key = self._key
         self._key = float(self._rng.random())
 

@@ -77,6 +77,7 @@ def check_no_echo(
 
     start = due = time.monotonic()
     while (now := time.monotonic()) - start < ECHO_TIMEOUT:
+        # Boards may start after the first probes.
         if now >= due:
             write(probe)
             due = now + ECHO_INTERVAL + 2.0 * line_time
@@ -88,6 +89,8 @@ def check_no_echo(
         decoder.feed(data)
         if ECHO_PROBE in received:
             raise echo_error(device)
+
+        # Feedback without an echo, for longer than an echo takes.
         if decoder.lines >= ECHO_LINES and now - start >= ECHO_WAIT + 2.0 * line_time:
             return
 

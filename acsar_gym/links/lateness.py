@@ -70,6 +70,7 @@ class EpisodeStopwatch:
         Returns:
             The lateness. None for the first tick, whose deadline is the reset's.
         """
+        # The first deadline is that of the reset, which may take long.
         if not self._has_started:
             self._has_started = True
             return None
@@ -95,6 +96,7 @@ class EpisodeStopwatch:
         Returns:
             Whether a command to wheels at rest has no visible effect yet: then call `heard`.
         """
+        # Only wheels at rest show when a command has an effect.
         if not drives:
             self._trip_start = None
         elif self._trip_start is None and self._fastest < STANDSTILL:

@@ -122,7 +122,7 @@ class PortLocation:
         """Open the port.
 
         Args:
-            baud_rate: In bit/s.
+            baud_rate: Baud rate [bit/s].
             reconnect_timeout: How long a lost port may take to reappear [s].
 
         Raises:

@@ -388,6 +388,7 @@ class Ros2Link(GuardedLink):
         if frame.lstrip("/") not in ("", base):
             self._problem = f"its child_frame_id is {frame!r}, not {base!r} (base_frame)"
             return
+
         twist = (message.twist.twist.linear.x, message.twist.twist.angular.z)
         sides = kinematics.compute_sides(*twist, *self._geometry, float("inf"))
         if max(map(abs, sides)) < MAX_WHEEL_SPEED:

@@ -278,7 +278,7 @@ def robot_step(
     Args:
         cos: Cosine of the heading.
         sin: Sine of the heading.
-        velocity: vx, vy [m/s] in the world frame, yaw rate [rad/s].
+        velocity: Velocities vx, vy [m/s] in the world frame, yaw rate [rad/s].
         wheels: Speeds of the four wheels [rad/s].
         angles: Angles turned by the four wheels [rad].
         set_points: Set points of the firmware [rad/s].

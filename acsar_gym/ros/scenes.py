@@ -22,8 +22,8 @@ def find_scene(name: str, start: Sequence[float], config: RobotConfig) -> Scene:
     Args:
         name: World such as "clutter:7", or a file. Empty for an open floor. If the name stands for
             several worlds ("clutter:test"), the first one is used.
-        start: x [m], y [m] and theta [rad] in the frame of the world. Empty for the world's own
-            start.
+        start: Start x [m], y [m] and theta [rad] in the frame of the world. Empty for the start of
+            the world itself.
         config: Robot configuration. Worlds are made for its footprint.
 
     Raises:

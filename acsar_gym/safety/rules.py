@@ -142,6 +142,7 @@ def make_rules(config: RobotConfig) -> SafetyRules:
     """Return the rules of a robot."""
     left_radius, right_radius = config.wheel_radii
     fence = config.geofence or Geofence()
+
     return SafetyRules(
         period=config.period,
         free=is_unlimited(config),
@@ -223,6 +224,7 @@ def limit_twist(
     new_angular = _limit_axis(
         angular, memory.angular, memory.past_angular, axis=rules.angular, rules=rules
     )
+
     return SafetyMemory(
         latched=latched,
         reason=reason,

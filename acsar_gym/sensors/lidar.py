@@ -13,14 +13,7 @@ from acsar_gym.config.footprint import Outline, outline_reach
 from acsar_gym.errors import LidarError
 from acsar_gym.lidar.contract import Lidar, check_age, check_revolution
 from acsar_gym.lidar.replayed import ReplayedLidar
-from acsar_gym.lidar.scan import (
-    Revolution,
-    Scan,
-    Trail,
-    fill_scan,
-    make_rays,
-    ray_spec,
-)
+from acsar_gym.lidar.scan import Revolution, Scan, Trail, fill_scan, make_rays, ray_spec
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.odometry import Odometry
 from acsar_gym.sensors.sensor import LIDAR, Floats, Sensor, SensorInput, find_sensor
@@ -57,8 +50,8 @@ class LidarSensor(Sensor):
         self._trail = self._make_trail()
         self._now = 0.0
         self._revolution: Revolution | None = None
-        self._checked: tuple[Revolution, Revolution] | None = None
-        """As the LiDAR handed it over, and as compiled loops may have it."""
+        self._unchecked: Revolution | None = None
+        self._checked: Revolution
         self._scan: Scan | None = None
 
         # Compile the loop before a robot waits for it.
@@ -78,7 +71,7 @@ class LidarSensor(Sensor):
 
     @property
     def revolution(self) -> Revolution:
-        """The newest revolution at the end of the last tick; LidarError before a reset."""
+        """The newest revolution at the end of the last tick. LidarError before a reset."""
         if self._trail.newest < 0:
             raise LidarError("the LiDAR has no scan yet", "call reset() first")
         if self._revolution is None:
@@ -93,27 +86,27 @@ class LidarSensor(Sensor):
         newest = self.lidar.scan()
         if isinstance(self.lidar, SimulatedLidar):
             return newest
-
-        named = type(self.lidar).__name__
-        if self._checked is None or newest is not self._checked[0]:
-            self._checked = (newest, check_revolution(newest, named))
-        checked = self._checked[1]
+        name = type(self.lidar).__name__
+        if newest is not self._unchecked or newest is None:
+            self._checked = check_revolution(newest, name)
+            self._unchecked = newest
         if not isinstance(self.lidar, ReplayedLidar):  # in simulation it has no time-out
-            check_age(checked, self._now, named, config=self.config)
-        return checked
+            check_age(self._checked, self._now, name, config=self.config)
+        return self._checked
 
     @property
     def scan(self) -> Scan:
-        """The scan at the end of the last tick; LidarError before a reset."""
+        """The scan at the end of the last tick. LidarError before a reset."""
         revolution = self.revolution
         if self._scan is None:
+            # Computed once a step at most, and only if it is read.
             ranges = np.empty(self.size)
             fill_scan(revolution, self._trail.ring, self._rays, ranges)
             self._scan = Scan(ranges, revolution.stamp)
         return self._scan
 
     def reset(self, robots: SensorInput) -> None:
-        """Start an episode; opens a device that is closed."""
+        """Start an episode, and open a device that is closed."""
         self.lidar.reset(robots.scenes[0], robots.rngs[0])
         self._trail = self._make_trail()
 
@@ -124,8 +117,11 @@ class LidarSensor(Sensor):
             LidarError: The newest scan is too old, or the device is gone.
         """
         self._now = now
+
+        # Measurements are moved by the odometry since their times.
         self._trail.mark(now, self.odometry.pose)
-        self._revolution = self._scan = None
+        self._revolution = None
+        self._scan = None
         if self._poll_lidar is None:
             self._revolution = self._measure()
         else:
@@ -152,13 +148,12 @@ class LidarSensor(Sensor):
 
 
 def find_lidar(sensors: Iterable[Sensor]) -> LidarSensor | None:
-    """The LiDAR among a robot's sensors; None without a LiDAR."""
-    lidar: LidarSensor | None = find_sensor(sensors, LIDAR)
-    return lidar
+    """The LiDAR among a robot's sensors. None without a LiDAR."""
+    return find_sensor(sensors, LIDAR)  # type: ignore[no-any-return]
 
 
 def newest_scan(sensors: Iterable[Sensor]) -> Scan | None:
-    """The newest scan of the LiDAR among a robot's sensors; None without a LiDAR."""
+    """The newest scan of the LiDAR among a robot's sensors. None without a LiDAR."""
     lidar = find_lidar(sensors)
     return None if lidar is None else lidar.scan
 

@@ -203,7 +203,7 @@ SENSOR_METHODS = ("reset", "read")
 
 
 def find_sensor(sensors: Iterable[Sensor], name: str) -> Any:
-    """The sensor with this name; None if there is none."""
+    """The sensor with this name. None if there is none."""
     return next((sensor for sensor in sensors if sensor.name == name), None)
 
 

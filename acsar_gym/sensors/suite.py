@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -62,16 +62,17 @@ class Sensors(Sequence[Sensor]):
     ) -> None:
         self._link = link
         self._sensors = make_sensors(wanted, link, config)
+
+        # A sensor may use any other, in whatever order they were given.
         by_name = {sensor.name: sensor for sensor in self._sensors}
         for sensor in self._sensors:
             sensor.connect(odometry, {name: by_name[name] for name in sensor.needs})
         self._polled = [sensor for sensor in self._sensors if is_polled(sensor)]
-        self._size = sum(sensor.size for sensor in self._sensors)
 
         # Of the episode.
-        self._scene = Scene()
-        self._rng = np.random.default_rng(0)
-        self._memories = [new_memory(sensor, 1) for sensor in self._sensors]
+        self._scene: Scene
+        self._rng: np.random.Generator
+        self._memories: list[Floats]
         self._newest: SensorInput
 
     def __getitem__(self, index: Any) -> Any:
@@ -79,9 +80,6 @@ class Sensors(Sequence[Sensor]):
 
     def __len__(self) -> int:
         return len(self._sensors)
-
-    def __iter__(self) -> Iterator[Sensor]:
-        return iter(self._sensors)
 
     @property
     def clocked(self) -> bool:
@@ -105,9 +103,10 @@ class Sensors(Sequence[Sensor]):
         """Each sensor, and what it may know, with its memory."""
         for sensor, memory in zip(self._sensors, self._memories, strict=True):
             robot = self._newest
-            if sensor.memory:
-                robot = robot._replace(memory=name_memory(sensor, memory))
-            yield sensor, robot
+            yield (
+                sensor,
+                robot._replace(memory=name_memory(sensor, memory)) if memory.size else robot,
+            )
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Start an episode: reset each sensor. Those with a clock of their own measure.
@@ -123,6 +122,8 @@ class Sensors(Sequence[Sensor]):
         for sensor, robot in self._inputs():
             with naming_sensor(sensor):
                 sensor.reset(robot)
+
+                # The first observation is of now.
                 if sensor in self._polled:
                     sensor.poll(self._link.truth, self._link.now())
 
@@ -145,21 +146,19 @@ class Sensors(Sequence[Sensor]):
         """
         if not self._sensors:
             return np.zeros(0)
-
-        numbers: Floats = np.full(self._size, np.nan)
-        end = 0
         self._newest = self._look()
+        readings = []
         for sensor, robot in self._inputs():
-            start = end
-            end += sensor.size
+            reading = np.full((1, sensor.size), np.nan)
             with naming_sensor(sensor):
-                sensor.read(robot, numbers[start:end].reshape(1, -1))
+                sensor.read(robot, reading)
+            readings.append(reading)
 
-        # One test of all numbers is faster than one of each sensor's.
+        # A test of all numbers at once is faster than tests of each sensor's numbers.
+        numbers: Floats = np.concatenate(readings, axis=1)[0]
         if not np.isfinite(numbers).all():
-            ends = np.cumsum([sensor.size for sensor in self._sensors])
-            for sensor, columns in zip(self._sensors, np.split(numbers, ends[:-1]), strict=True):
-                check_finite(sensor, columns.reshape(1, -1))
+            for sensor, reading in zip(self._sensors, readings, strict=True):
+                check_finite(sensor, reading)
         return numbers
 
     def info(self, info: dict[str, float]) -> None:
@@ -174,7 +173,11 @@ class Sensors(Sequence[Sensor]):
         for sensor, robot in self._inputs():
             with naming_sensor(sensor):
                 for key, values in sensor.info(robot).items():
-                    check_info_key(info, sensor, key)
+                    if key in info:
+                        raise ConfigError(
+                            f"sensor {sensor.name!r}: info has {key!r} already: name it "
+                            f"{sensor.name}_{key}"
+                        )
                     info[key] = float(values[0])
 
     def close(self) -> None:
@@ -184,6 +187,7 @@ class Sensors(Sequence[Sensor]):
             with naming_sensor(sensor):
                 sensor.close()
 
+        # All devices are closed, whatever any of them raises.
         with contextlib.ExitStack() as stack:
             for sensor in reversed(self._sensors):
                 stack.callback(close, sensor)
@@ -209,6 +213,8 @@ def make_sensors(
     """
     order = [*BUILT_IN]
     sensors = [make_sensor(factory, link, config) for factory in wanted]
+
+    # Built-in sensors have fixed places, all others keep their order behind them.
     sensors.sort(key=lambda sensor: (*order, sensor.name).index(sensor.name))
     names = [sensor.name for sensor in sensors]
     for sensor in sensors:
@@ -240,15 +246,12 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
     if not isinstance(sensor, BUILT_IN.get(name, Sensor)):
         raise ConfigError(f"sensor {name!r}: that name is taken: rename yours")
 
-    try:
+    with translate_errors(ConfigError, lambda: f"sensor {name!r}"):
         low, high = sensor.bounds
-        is_sound = sensor.size > 0 and bool((low <= high).all())
-    except (AttributeError, TypeError, ValueError):
-        is_sound = False
-    if not is_sound:
-        raise ConfigError(
-            f"sensor {name!r}: must have a size from 1, and low <= high, numbers or (size,)"
-        )
+        if sensor.size < 1 or (low > high).any():
+            raise ConfigError(
+                f"sensor {name!r}: must have a size from 1, and low <= high, numbers or (size,)"
+            )
     return sensor
 
 
@@ -269,14 +272,6 @@ def check_finite(sensor: Sensor, numbers: Floats, robots: Sequence[int] = ()) ->
     )
 
 
-def check_info_key(info: Mapping[str, Any], sensor: Sensor, key: str) -> None:
-    """Raise ConfigError if info has the key already."""
-    if key in info:
-        raise ConfigError(
-            f"sensor {sensor.name!r}: info has {key!r} already: name it {sensor.name}_{key}"
-        )
-
-
 def sensor_factories(
     sensors: Iterable[str | Sensor | Factory], lidar: Any = None, period: float = 0.1
 ) -> list[Sensor | Factory]:
@@ -289,7 +284,7 @@ def sensor_factories(
     def make_lidar(link: Link, config: RobotConfig) -> Sensor:
         return LidarSensor(open_lidar(lidar, link, config), config)
 
-    known: dict[str, Factory] = {
+    built_in: dict[str, Factory] = {
         MAP: partial(MapSensor, period=period),
         MOVERS: MoversSensor,
         LIDAR: make_lidar,
@@ -300,8 +295,10 @@ def sensor_factories(
             factories.append(sensor)
         elif ":" in sensor:
             factories.append(import_object("sensor", sensor))
-        elif sensor in known:
-            factories.append(known[sensor])
+        elif sensor in built_in:
+            factories.append(built_in[sensor])
         else:
-            raise ConfigError(f"unknown sensor {show_value(sensor)}{suggest_name(sensor, known)}")
+            raise ConfigError(
+                f"unknown sensor {show_value(sensor)}{suggest_name(sensor, built_in)}"
+            )
     return factories

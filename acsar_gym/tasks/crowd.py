@@ -44,7 +44,16 @@ edge of their personal space."""
 
 
 class Crowd(NavigationTask):
-    """Reach a point in a hall that people walk through, with a LiDAR."""
+    """Reach a point in a hall that people walk through, with a LiDAR.
+
+    Example:
+        >>> from acsar_gym import RobotEnv
+        >>> from acsar_gym.tasks import Crowd
+        >>> env = RobotEnv(Crowd, link="planar", worlds="crowd:2")
+        >>> env.reset(seed=0)[1]["person_contact"]
+        0.0
+        >>> env.close()
+    """
 
     id = "acsar_gym/Crowd-v0"
     worlds = "crowd:train"
@@ -63,7 +72,13 @@ class Crowd(NavigationTask):
 
 
 class DynaBarn(Crowd):
-    """Drive 20 m through cylinders that move (DynaBARN), with a LiDAR."""
+    """Drive 20 m through cylinders that move (DynaBARN), with a LiDAR.
+
+    Example:
+        >>> from acsar_gym.tasks import Crowd, DynaBarn
+        >>> Crowd().weights.collision, DynaBarn().weights.collision
+        (15.0, 30.0)
+    """
 
     id = "acsar_gym/DynaBarn-v0"
     worlds = "dynabarn:train"
@@ -78,6 +93,7 @@ def crowding(state: State) -> float:
     0 where the hull of all that has moved is PERSONAL_SPACE or more away from the circle around
     the robot, and 1 where one touches it.
     """
+    # The observed top speed is in ten radii of the footprint a second, so the radius follows.
     reach = state.max_twist[0] / (10.0 * float(state.sensed[TOP_SPEED]))
     deepest = 0.0
     for n in range(MOST_MOVERS):
@@ -85,6 +101,8 @@ def crowding(state: State) -> float:
         if state.sensed[first + MOVES] > 0.0:
             ahead = float(state.sensed[first + AHEAD])
             left_by = float(state.sensed[first + LEFT])
+
+            # Lengths are observed on a logarithmic scale, from the robot's middle.
             share = math.sqrt(ahead * ahead + left_by * left_by)
             distance = length_of_share(share, FARTHEST_CLEARANCE)
             gap = distance - 1.0 - MOST_RADIUS * float(state.sensed[first + RADIUS])

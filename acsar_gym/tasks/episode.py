@@ -15,7 +15,6 @@ from acsar_gym.errors import (
     AcsarWarning,
     ConfigError,
     WorldError,
-    format_error,
     show_value,
     translate_errors,
 )
@@ -52,7 +51,13 @@ WORLD_DRAWS = 6
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """World, start, goal and path of one episode."""
+    """World, start, goal and path of one episode.
+
+    Example:
+        >>> from acsar_gym.tasks import Assignment
+        >>> Assignment(goal=(1.0, 0.5)).start
+        (0.0, 0.0, 0.0)
+    """
 
     goal: Goal
     """The goal x, y in the odometry frame, in which the robot starts at the origin [m]."""
@@ -98,6 +103,8 @@ class Spawn:
     ) -> None:
         self._task = task
         check_distances(task.goal_distance)
+
+        # Options of the env replace what the task declares.
         source = task.worlds if worlds is None else worlds
         level = task.difficulty if difficulty is None else difficulty
 
@@ -115,9 +122,9 @@ class Spawn:
 
         Args:
             rng: The env's generator.
-            options: Options of the reset: "goal", (x, y) in the odometry frame [m]; in worlds
+            options: Options of the reset: "goal", (x, y) in the odometry frame [m]. In worlds also
                 "world", a number, a World, or among several sets a name such as "clutter 17", and
-                "difficulty", (low, high) of the worlds to draw from; for tasks that follow "path",
+                "difficulty", (low, high) of the worlds to draw from. For tasks that follow "path",
                 points (x, y) [m], instead of "goal".
 
         Raises:
@@ -126,6 +133,8 @@ class Spawn:
         """
         options = check_reset_options(options, self.options)
         _refuse_contradictions(options)
+
+        # In the order in which options exclude each other.
         path = options.get("path")
         goal = options.get("goal")
         if path is not None:
@@ -207,16 +216,19 @@ def draw_in_world(
     worlds: Pool, rng: np.random.Generator, options: Mapping[str, Any], *, follow: bool = False
 ) -> Assignment:
     """Draw a world, the start in it and the goal. Takes WORLD_DRAWS numbers, and one for movers."""
+    # All numbers are drawn whatever the options are, so later episodes don't depend on these.
     world_share, *start_shares, heading_share, goal_u, goal_v = rng.random(WORLD_DRAWS).tolist()
     world_key, world = choose_world(worlds, world_share, options)
     key = float(rng.random()) if world.movers else 0.0
     ends = align_with_path(world) if follow else world
 
+    # The start, in the frame of the world.
     x, y = point_in_disc(ends.start.x, ends.start.y, ends.start.radius, *start_shares)
     theta = ends.start.theta
     if theta is None:
         theta = (2.0 * heading_share - 1.0) * math.pi
 
+    # The goal and the path, in the odometry frame.
     length = ends.length
     path = None
     if options.get("goal") is not None:
@@ -275,36 +287,31 @@ class ObservationCheck:
         if self._low.shape != numbers.shape:  # arrays of one shape are compared much faster
             self._low = np.broadcast_to(self._low, numbers.shape).copy()
             self._high = np.broadcast_to(self._high, numbers.shape).copy()
-        numbers = np.ascontiguousarray(numbers)
+
+        # One test of all numbers is fast, and nearly always the last.
         is_inside = (numbers >= self._low) & (numbers <= self._high)
         if is_inside.all():
             return
-
         is_finite = np.isfinite(numbers)
-        if not is_finite.all():
-            name, value, robot = self._find_first(numbers, ~is_finite)
-            raise ConfigError(
-                f"{task_name(self._task)}.observe returned {{{name!r}: {value}}}{robot}: must be "
-                "finite numbers"
-            )
-        if not self._has_warned:
-            self._has_warned = True
-            name, value, robot = self._find_first(numbers, ~is_inside)
-            low, high = self._task.observation[name]
-            warnings.warn(
-                f"{task_name(self._task)}.observe returned {name!r} = {value:g}{robot}: beyond "
-                f"its bounds ({low:g}, {high:g}), and a policy gets it as it is: clip it, or "
-                "declare wider bounds in `observation`",
-                AcsarWarning,
-                stacklevel=3,
-            )
+        is_sound = is_inside if is_finite.all() else is_finite
+        if is_sound is is_inside and self._has_warned:
+            return
 
-    def _find_first(self, numbers: Observation, is_wrong: Any) -> tuple[str, float, str]:
-        """Name and value of the first wrong number, and the robot, for messages."""
-        robot, column = np.argwhere(np.atleast_2d(is_wrong))[0]
+        robot, column = np.argwhere(~np.atleast_2d(is_sound))[0]
         name = list(self._task.observation)[column]
+        value = np.atleast_2d(numbers)[robot, column]
         whose = f" for robot {robot}" if numbers.ndim > 1 else ""
-        return name, np.atleast_2d(numbers)[robot, column], whose
+        source = f"{task_name(self._task)}.observe returned"
+        if is_sound is is_finite:
+            raise ConfigError(f"{source} {{{name!r}: {value}}}{whose}: must be finite numbers")
+        self._has_warned = True
+        low, high = self._task.observation[name]
+        warnings.warn(
+            f"{source} {name!r} = {value:g}{whose}: beyond its bounds ({low:g}, {high:g}): clip "
+            "it, or declare wider bounds in `observation`",
+            AcsarWarning,
+            stacklevel=3,
+        )
 
 
 class RunningEpisode:
@@ -361,11 +368,7 @@ class RunningEpisode:
     def observe(self, state: State) -> Observation:
         """Return the task's own part of the observation, (numbers,)."""
         with self._translated_errors():
-            values = self.task.observe(state, self.memory)
-        try:
-            numbers = np.array(values, np.float32)
-        except (TypeError, ValueError) as error:
-            raise self._error("observe", f"{show_value(values)}: must be numbers") from error
+            numbers = np.array(self.task.observe(state, self.memory), np.float32)
         shape = (len(self.task.observation),)
         if numbers.shape != shape:
             problem = f"numbers of shape {numbers.shape}: must be {shape}, as `observation` has"
@@ -377,33 +380,24 @@ class RunningEpisode:
         """Ask the task for the shortest way from a pose to success. See `Task.shortest_path`."""
         if not says_shortest_path(self.task):
             return None
+
+        # The method is the user's own, and gets the true pose if it is known.
         with self._translated_errors():
             way: Any = self.task.shortest_path(self.state._replace(pose=pose), self.memory)
-        if way is None:
-            return None
-
-        length = read_number(way)
-        if 0.0 <= length < math.inf:
-            return length
-        try:
-            places = np.array(way, np.float64).reshape(len(way), 2)
-        except (TypeError, ValueError):
-            places = np.full((1, 2), np.nan)
-        if not np.isfinite(places).all():
+            if way is None:
+                return None
+            numbers: Floats = np.array(way, np.float64)
+        is_length = numbers.ndim == 0 and numbers >= 0.0
+        if not np.isfinite(numbers).all() or not (is_length or numbers.shape[1:] == (2,)):
             problem = "must be places (x, y) [m], a length [m], or None"
             raise self._error("shortest_path", f"{show_value(way)}: {problem}")
-        return places
+        return float(numbers) if is_length else numbers
 
     def info(self) -> dict[str, float]:
         """Return what the task adds to info. The keys are the same at every step."""
         memory = vars(self.memory)
-        try:
+        with self._translated_errors():
             numbers = {name: float(memory[name]) for name in self._info_names}
-        except (KeyError, TypeError, ValueError) as error:
-            raise ConfigError(
-                f"{task_name(self.task)}: `told` must list names of the memory whose values are "
-                f"numbers: {format_error(error)}"
-            ) from error
         return numbers | self.assignment.info
 
     def _translated_errors(self) -> Any:

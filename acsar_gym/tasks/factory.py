@@ -26,6 +26,7 @@ def make_task(task: Any, options: Mapping[str, Any], others: Iterable[str] = ())
     Raises:
         ConfigError: There is no such task, it has no such option, or a value can't be used.
     """
+    # Specs of environments name a class by its module.
     if isinstance(task, str):
         task = import_object("task", task)
     if isinstance(task, type) and issubclass(task, Task):
@@ -53,6 +54,7 @@ def _make_instance(kind: type[Task], options: Mapping[str, Any], others: Iterabl
         except TypeError as error:
             raise ConfigError(f"{name}: {error}") from error
 
+    # Tasks are frozen dataclasses, but this one isn't used yet.
     changes = options.get("weights")
     if changes is not None:
         object.__setattr__(task, "weights", _change_weights(task, changes))
@@ -80,6 +82,8 @@ def _change_weights(task: Task, changes: Any) -> Any:
 def _check_class(task: Task) -> None:
     """Raise ConfigError if names or bounds that a task's class declares can't be used."""
     name = task_name(task)
+
+    # What can't be converted fails here, before a robot is made.
     with translate_errors(ConfigError, lambda: name):
         new_memory(task)
         low, high = observation_bounds(task)
@@ -88,6 +92,7 @@ def _check_class(task: Task) -> None:
     for sensor in task.needs:
         if sensor not in task.sensors:
             raise ConfigError(f"{name}: sensors = {task.sensors!r}: must name {sensor!r}")
+    check_names(f"{name}: told: no memory {{}}", info_names(task), task.memory)
     for key in info_names(task):
         if key in INFO_KEYS or key.startswith("drawn_"):
             raise ConfigError(f"{name}: memory {key!r}: info has that already. Rename it")

@@ -69,6 +69,7 @@ class GoalTask(Task):
 
     def outcome(self, state: State, memory: Any) -> Outcome:
         """Success within the tolerance, out of bounds beyond the boundary, collision by contact."""
+        # A robot that touches something at the goal hasn't succeeded.
         if state.contact:
             return Outcome.COLLISION
         if goal_distance(state.pose, state.goal) <= self.goal_tolerance:
@@ -99,6 +100,8 @@ class GoalTask(Task):
         cos, sin = cos_sin(theta)
         ahead, left_by = relative_point(x, y, cos, sin, other_x=goal_x, other_y=goal_y)
         distance = goal_distance(state.pose, state.goal)
+
+        # At the goal itself any direction will do.
         divisor = max(distance, 1e-12)
 
         return (
@@ -113,7 +116,17 @@ class GoalTask(Task):
 
 @dataclass(frozen=True, kw_only=True)
 class PointGoal(GoalTask):
-    """Reach a point on an open floor."""
+    """Reach a point on an open floor.
+
+    Example:
+        >>> import gymnasium
+        >>> import acsar_gym
+        >>> env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar")
+        >>> _, info = env.reset(seed=0, options={"goal": (1.5, 0.0)})
+        >>> info["goal_distance"]
+        1.5
+        >>> env.close()
+    """
 
     id = "acsar_gym/PointGoal-v0"
     goal_distance: tuple[float, float] = (0.5, 3.0)

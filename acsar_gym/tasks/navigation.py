@@ -49,13 +49,13 @@ def barn_score(success: float, time: float, length: float, speed: float, k: floa
 
     Args:
         success: 1 for a run that reached the goal, otherwise 0.
-        time: that the run took [s].
-        length: of the world's own path from start to goal [m]. NaN where there is none.
-        speed: reference speed of the optimal time [m/s].
-        k: a run faster than k times the optimal time earns no more.
+        time: Duration of the run [s].
+        length: Length of the world's own path from start to goal [m]. NaN if it has none.
+        speed: Reference speed of the optimal time [m/s].
+        k: Runs faster than k times the optimal time have the same score.
 
     Returns:
-        0 to 1 / k. NaN where `length` is NaN.
+        0 to 1 / k. NaN if `length` is NaN.
     """
     optimal = length / speed
     if math.isnan(optimal):
@@ -108,7 +108,16 @@ class NavigationTask(GoalTask):
 
 @dataclass(frozen=True, kw_only=True)
 class ObstacleGoal(NavigationTask):
-    """Reach a point among obstacles, with a LiDAR."""
+    """Reach a point among obstacles, with a LiDAR.
+
+    Example:
+        >>> from acsar_gym import RobotEnv
+        >>> from acsar_gym.tasks import ObstacleGoal
+        >>> env = RobotEnv(ObstacleGoal, link="planar", worlds="open:2", weights={"near": 0.3})
+        >>> env.reset(seed=0)[1]["true_contact"]
+        0.0
+        >>> env.close()
+    """
 
     id = "acsar_gym/ObstacleGoal-v1"
     worlds = "clutter:train"
@@ -120,7 +129,16 @@ class ObstacleGoal(NavigationTask):
 
 
 class Barn(NavigationTask):
-    """Drive 10 m through a field of cylinders (BARN), with a LiDAR. Info has the score."""
+    """Drive 10 m through a field of cylinders (BARN), with a LiDAR. Info has the score.
+
+    Example:
+        >>> from acsar_gym import RobotEnv
+        >>> from acsar_gym.tasks import Barn
+        >>> env = RobotEnv(Barn, link="planar", worlds="barn:2")
+        >>> env.reset(seed=0)[1]["barn_score"]
+        0.0
+        >>> env.close()
+    """
 
     id = "acsar_gym/Barn-v1"
     worlds = "barn:train"
@@ -156,10 +174,13 @@ def navigation_reward(state: State, outcome: int, weights: Any) -> float:
         outcome: Number of the step's Outcome.
         weights: Weights of the terms, with the names of `NavigationWeights`.
     """
+    # Only the smallest clearance costs, and none above NEAR_SHARE.
     clearance = NEAR_SHARE
     for sector in range(FIRST_SECTOR, FIRST_SECTOR + SECTORS):
         clearance = min(clearance, float(state.sensed[sector]))
     nearness = 1.0 - clearance / NEAR_SHARE
+
+    # Speed times turn rate is the acceleration sideways.
     slide = max(abs(state.twist[0] * state.twist[1]) - SLIDE_ACCELERATION, 0.0)
 
     costs = weights.time + weights.near * nearness - weights.backwards * min(state.action[0], 0.0)

@@ -52,6 +52,8 @@ class SharedOptions(Section):
     def split(cls, options: Mapping[str, Any]) -> tuple[Self, dict[str, Any]]:
         """Separate these options from those of the task."""
         of_task = dict(options)
+
+        # Gymnasium passes registered defaults of one mode to both modes.
         defaults = of_task.pop(MODE_DEFAULTS, {})
         chosen = {name: defaults[name] for name in cls.names() if name in defaults}
         chosen |= {name: of_task.pop(name) for name in cls.names() if name in options}

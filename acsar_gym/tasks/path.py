@@ -41,7 +41,8 @@ POINT_TIME = 0.5
 """Time between two observed points of the path, at the robot's top speed [s]."""
 TURN_SCALE = 4.0
 """The observed greatest yaw rate is divided by this [rad/s]."""
-SEARCH_BACK, SEARCH_AHEAD = 10, 20
+SEARCH_BACK = 10
+SEARCH_AHEAD = 20
 """How many samples of the path behind and ahead of the last position on it are searched."""
 TIE_DISTANCE = 1e-12
 """Squared distances that differ by less count as equal, as at a corner. The first piece is taken
@@ -71,7 +72,17 @@ class PathWeights(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PathFollow(Task):
-    """Follow a smooth path, or straight pieces between waypoints."""
+    """Follow a smooth path, or straight pieces between waypoints.
+
+    Example:
+        >>> from acsar_gym import RobotEnv
+        >>> from acsar_gym.tasks import PathFollow
+        >>> env = RobotEnv(PathFollow, link="planar", worlds="smooth_path:2")
+        >>> _, info = env.reset(seed=0, options={"path": [(0.0, 0.0), (2.0, 0.0)]})
+        >>> info["cross_track_error"]
+        0.0
+        >>> env.close()
+    """
 
     max_cross_track: float = 0.5
     """An episode ends without success this far beside the path. Also scales the observed error
@@ -113,6 +124,8 @@ class PathFollow(Task):
     def outcome(self, state: State, memory: Any) -> Outcome:
         """Success near the path's end, out of bounds too far beside it. Keeps mean errors."""
         locate_on_path(state, memory)
+
+        # The score: means over the steps until now.
         steps = math.floor(state.time / state.period + 0.5)
         memory.cross_sum += abs(memory.cross_track_error)
         memory.heading_sum += abs(memory.heading_error)
@@ -121,6 +134,8 @@ class PathFollow(Task):
 
         x, y, _ = state.pose
         distance = math.sqrt((state.goal[0] - x) ** 2 + (state.goal[1] - y) ** 2)
+
+        # A loop ends near its start: the rest of the path has to be short as well.
         if remaining_length(state, memory) <= PATH_TOLERANCE and distance <= PATH_TOLERANCE:
             return Outcome.SUCCESS
         is_beside = abs(memory.cross_track_error) > self.max_cross_track
@@ -190,9 +205,12 @@ def point_ahead(
     of the robot's heading.
     """
     stride = POINT_TIME * state.max_twist[0]
+
+    # Slow robots would see one sample several times.
     samples = max(math.floor(number * stride / PATH_SPACING + 0.5), number)
     k = min(int(memory.progress) + samples, len(state.path) - 1)
-    x, y = state.path[k, 0], state.path[k, 1]
+    x = state.path[k, 0]
+    y = state.path[k, 1]
     robot_x, robot_y, _ = state.pose
     ahead, left_by = relative_point(robot_x, robot_y, cos, sin, other_x=x, other_y=y)
     unit = LOOKAHEAD * stride
@@ -209,8 +227,8 @@ def nearest_on_path(path: Floats, progress: float, pose: Pose) -> tuple[float, f
         pose: The robot's pose.
 
     Returns:
-        Position on the path [samples]; signed distance from it [m], positive to the left of the
-        path; and the path's direction there [rad]. Before the first and behind the last sample it
+        Position on the path [samples], signed distance from it [m], positive to the left of the
+        path, and the path's direction there [rad]. Before the first and behind the last sample it
         is the distance to that sample.
     """
     x, y, _ = pose
@@ -222,11 +240,14 @@ def nearest_on_path(path: Floats, progress: float, pose: Pose) -> tuple[float, f
     bearing = 0.0
     for k in range(first, last):
         # The nearest point of the piece from sample k to the next sample.
-        along_x, along_y = path[k + 1, 0] - path[k, 0], path[k + 1, 1] - path[k, 1]
-        dx, dy = x - path[k, 0], y - path[k, 1]
+        along_x = path[k + 1, 0] - path[k, 0]
+        along_y = path[k + 1, 1] - path[k, 1]
+        dx = x - path[k, 0]
+        dy = y - path[k, 1]
         share = (dx * along_x + dy * along_y) / (along_x * along_x + along_y * along_y)
         share = min(max(share, 0.0), 1.0)
-        beside_x, beside_y = dx - share * along_x, dy - share * along_y
+        beside_x = dx - share * along_x
+        beside_y = dy - share * along_y
         square = beside_x * beside_x + beside_y * beside_y
 
         if square < least_square - TIE_DISTANCE:

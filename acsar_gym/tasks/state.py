@@ -25,6 +25,15 @@ class State(NamedTuple):
 
     Poses and points are in the odometry frame, in which the robot starts at the origin. The single
     env and a batch create it in one place each: `RobotEnv._observe` and `vector.kernel.task`.
+
+    Example:
+        A task is tested without an env:
+
+        >>> from acsar_gym import State
+        >>> from acsar_gym.tasks import PointGoal
+        >>> state = State(pose=(0.9, 0.0, 0.0), goal=(1.0, 0.0))
+        >>> PointGoal().outcome(state, memory=None).name
+        'SUCCESS'
     """
 
     pose: Pose = (0.0, 0.0, 0.0)

@@ -27,7 +27,14 @@ bounded."""
 
 
 class Outcome(IntEnum):
-    """Whether and how an episode has ended."""
+    """Whether and how an episode has ended.
+
+    Example:
+        >>> from acsar_gym import Outcome, State
+        >>> from acsar_gym.tasks import PointGoal
+        >>> PointGoal().outcome(State(contact=True), memory=None) == Outcome.COLLISION
+        True
+    """
 
     GOING = 0
     SUCCESS = 1
@@ -164,6 +171,7 @@ TASK_METHODS = ("begin", "outcome", "reward", "observe")
 
 def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
     """Whether a batch compiles these methods. Not where a subclass overrides compiled ones."""
+    # The nearest class that sets `compiled`, or overrides a method without it, decides.
     for kind in type(instance).__mro__:
         if "compiled" in vars(kind):
             return bool(vars(kind)["compiled"])
@@ -174,6 +182,7 @@ def is_compiled(instance: Any, methods: Collection[str] = TASK_METHODS) -> bool:
 
 def says_shortest_path(task: Task) -> bool:
     """Whether a task has a `shortest_path` that belongs to its `outcome`."""
+    # A subclass with its own `outcome` may end elsewhere than the inherited way.
     for kind in type(task).__mro__:
         if "shortest_path" in vars(kind) or "outcome" in vars(kind):
             return "shortest_path" in vars(kind) and kind is not Task
@@ -216,12 +225,12 @@ def relative_point(
     """Transform a point into the frame of a pose.
 
     Args:
-        x: of the pose [m].
-        y: of the pose [m].
-        cos: of the pose's heading.
-        sin: of the pose's heading.
-        other_x: of the point [m].
-        other_y: of the point [m].
+        x: Position of the pose [m].
+        y: Position of the pose [m].
+        cos: Cosine of the pose's heading.
+        sin: Sine of the pose's heading.
+        other_x: Position of the point [m].
+        other_y: Position of the point [m].
 
     Returns:
         How far the point lies ahead and to the left of the pose [m].

@@ -46,12 +46,12 @@ def write_page(path: Path, title: str, sections: Sequence[Section]) -> None:
     """Write results as one HTML file.
 
     Args:
-        path: File to write. `reading.check_replaceable` knows it again.
+        path: File to write. `reading.check_replaceable` accepts it again.
         title: Title of the page.
-        sections: From top to bottom.
+        sections: Sections from top to bottom.
 
     Raises:
-        ConfigError: the file can't be written.
+        ConfigError: The file can't be written.
         MissingExtraError: jinja2 or plotly isn't installed.
     """
     check_report_extra()

@@ -54,6 +54,8 @@ class Kind(NamedTuple):
 def make_worlds(pools: Sequence[Pool | None], *, follow: bool) -> tuple[list[World], list[range]]:
     """Make all worlds of all pools, each pool's once, and find where those of each pool are."""
     worlds: list[World] = []
+
+    # Footprints of the same size share a pool, which is known by its identity.
     places: dict[int, range] = {id(None): range(0)}
     for pool in pools:
         if pool is None or id(pool) in places:
@@ -64,6 +66,8 @@ def make_worlds(pools: Sequence[Pool | None], *, follow: bool) -> tuple[list[Wor
                 f"when it begins: at most {MAX_WORLDS:,}"
             )
         first = len(worlds)
+
+        # A robot that follows a path starts on it, wherever the world's own start is.
         worlds += [align_with_path(world) if follow else world for world in pool]
         places[id(pool)] = range(first, len(worlds))
     return worlds, [places[id(pool)] for pool in pools]
@@ -73,6 +77,8 @@ def make_setup(kinds: Sequence[Kind], **numbers: Any) -> layout.Setup:
     """Compute the numbers that all robots of a batch share."""
     config = kinds[0].config
     loop_rate = config.firmware.loop_rate
+
+    # Equal friction in all directions is faster to compute, so it has to hold for all kinds.
     turns_freely = any(
         "turn_factor" in kind.randomization.names or kind.config.body.turn_factor is not None
         for kind in kinds
@@ -112,6 +118,8 @@ def count_slots(setup: layout.Setup, kind: Kind) -> int:
             "longer"
         )
     slowest_rate = (kind.randomization.feedback_rate or (config.feedback_rate,))[0]
+
+    # Until the next line is there, the counts of the last line are still needed.
     between_lines = math.ceil(1.0 / (slowest_rate * setup.dt))
     return int(setup.window + delay + between_lines + setup.loops + 1)
 
@@ -125,6 +133,7 @@ def count_commands(setup: layout.Setup, kind: Kind) -> int:
 
 def make_draws(robots: int, kinds: Sequence[Kind]) -> layout.Draws:
     """Make the arrays from which the physics of episodes is drawn."""
+    # Without randomization nothing is kept for info.
     varies = any(kind.randomization.names for kind in kinds)
     delays = [np.reshape(kind.ranges.delays, (-1, 1)) for kind in kinds]
     return layout.Draws(
@@ -140,13 +149,15 @@ def make_draws(robots: int, kinds: Sequence[Kind]) -> layout.Draws:
 def make_scans(
     robots: int, worlds: Sequence[World], setup: layout.Setup, kinds: Sequence[Kind]
 ) -> layout.Scans | None:
-    """Make the arrays of obstacles, rays and trails; None if there is nothing to see or touch.
+    """Make the arrays of obstacles, rays and trails. None if there is nothing to see or touch.
 
     Obstacles are padded to the world with most of them.
     """
     if not (setup.sees or any(world.obstacles or world.movers for world in worlds)):
         return None
     fleet = [kind.config for kind in kinds]
+
+    # Compiled loops need arrays of one shape: the rest is filled with obstacles far away.
     around = geometry.surround_kinds(
         pad_rows([world.circles for world in worlds], (PADDING_PLACE, PADDING_PLACE, 0.0)),
         pad_rows([world.segments for world in worlds], (PADDING_PLACE,) * 4),
@@ -168,10 +179,12 @@ def make_scans(
 
 
 def make_crowds(worlds: Sequence[World], scans: layout.Scans | None) -> layout.Crowds | None:
-    """Make the arrays of what moves; None if nothing does."""
+    """Make the arrays of what moves. None if nothing does."""
     if scans is None or not any(world.movers for world in worlds):
         return None
     motions = make_motions([world.movers for world in worlds])
+
+    # Movers have the same slots as robots, so that a LiDAR finds both in one row.
     _, robots, slots, _ = scans.trails.shape
     movers = motions.movers.shape[1]
     return layout.Crowds(
@@ -183,6 +196,7 @@ def make_crowds(worlds: Sequence[World], scans: layout.Scans | None) -> layout.C
 
 def make_maps(robots: int, blocks: int, kinds: Sequence[Kind], step: float) -> layout.Maps:
     """Make the robots' empty maps. `step` is the duration of an env step [s]."""
+    # Robot i is of kind i % (number of kinds).
     records = np.concatenate([make_record(kind.config, step) for kind in kinds])
     return layout.Maps(
         records[np.arange(robots) % len(records)],
@@ -195,11 +209,14 @@ def write_builds(blocks: NDArray[Any], kinds: Sequence[Kind], setup: layout.Setu
     number_of_robot = np.arange(len(blocks) * layout.BLOCK_ROBOTS).reshape(len(blocks), -1)
     kind_of_robot = number_of_robot % len(kinds)
 
+    # Numbers of wheels are (4,) in a description, and (4, BLOCK_ROBOTS) in a block.
     def write(fields: NDArray[Any], rows: Sequence[Mapping[str, Any]]) -> None:
         for name in rows[0]:
             values = [row[name] for row in rows]
             if isinstance(values[0], AxisLimits):
                 write(fields[name], [axis._asdict() for axis in values])
+
+            # All robots have the same period, which is in `Setup`.
             elif name != "period":
                 columns = np.array(values, np.float64)[kind_of_robot]
                 fields[name] = columns if columns.ndim == 2 else np.moveaxis(columns, 2, 1)
@@ -232,6 +249,8 @@ def make_spawns(task: Task, worlds: Sequence[World], kinds: Sequence[Kind]) -> l
     """Make the arrays of starts, goals and paths."""
     nearest, farthest = task.goal_distance
     order = np.arange(len(worlds), dtype=np.int64)
+
+    # A range of difficulties is a range of ranks in this order.
     for kind in kinds:
         if kind.pool is not None and kind.pool.generated:
             places = slice(kind.worlds.start, kind.worlds.stop)

@@ -42,7 +42,7 @@ class Batch:
         sensors: An instance of each sensor, in the order of their numbers in the observation.
         worlds: All worlds.
         tables: The arrays.
-        maps: The robots' maps; None if they have none.
+        maps: The robots' maps. None without maps.
         seeded: Whether the robots have generators.
 
     Args:
@@ -169,6 +169,8 @@ class Batch:
         """Make new generators for robots with a seed, and in the first call for all."""
         if seeds is None and self.seeded:
             return
+
+        # A robot without a seed keeps its generator, except at the first reset.
         for robot in np.flatnonzero(mask):
             seed = None if seeds is None else seeds[robot]
             if seed is not None or not self.seeded:
@@ -178,6 +180,7 @@ class Batch:
 
     def set_reset_options(self, options: Mapping[str, NDArray[Any]], mask: Mask) -> None:
         """Set the reset options that hold for the next episodes of the robots in the mask."""
+        # Options that aren't given are zero, which stands for no option.
         places = np.divmod(np.flatnonzero(mask), layout.BLOCK_ROBOTS)
         for name in layout.OPTIONS:
             self.tables.blocks[name][places] = options[name][mask] if name in options else 0.0
@@ -195,11 +198,13 @@ class Batch:
         np.logical_not(tables.begins, out=tables.drives)
         share(self._drive, len(tables.blocks))
 
+        # All blocks read the same cursor, so it moves on after them.
         cursor = tables.cursor[0]
         loops = self._setup.ticks * self._setup.loops
         cursor["counts"] = (cursor["counts"] + loops) % tables.counts.shape[1]
         cursor["commands"] = (cursor["commands"] + self._setup.ticks) % tables.commands.shape[1]
         self._observe(share)
+        # The compiled loop checks outcomes and shapes. Observations are checked by `_observe`.
         if not np.isfinite(tables.rewards).all():
             robot = int(np.isfinite(tables.rewards).argmin())
             raise ConfigError(
@@ -220,6 +225,8 @@ class Batch:
         tables = self.tables
         scans = self._scans
         crowds = self._crowds
+
+        # In most steps no episode of these blocks starts.
         if tables.begins[robots].any():
             episode.reset(
                 tables,
@@ -233,6 +240,7 @@ class Batch:
         if scans is not None and self._setup.sees:
             lidars.read_scans(tables, scans, crowds, maps=self.maps, **shared)
 
+        # Users' sensors read all robots at once, so the task has to wait for them.
         if not len(self._own_sensors):
             self._task_loop.run(first, last)
 
@@ -248,6 +256,8 @@ class Batch:
         """Info with the keys of the single env, each an array with a row for each robot."""
         *rows, first_worlds = self.read(*self._info_keys, "first_world")
         info = dict(zip(self._info_keys, rows, strict=True))
+
+        # Places count through the worlds of all kinds, numbers start at the kind's first world.
         if self._world_numbers is not None:
             info["world"] += self._world_numbers[0] - first_worlds
         info |= self._task_loop.info()

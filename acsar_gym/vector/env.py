@@ -125,6 +125,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             ConfigError, WorldError: Options are unknown, or values out of range.
         """
         chosen, task_options = BatchOptions.split(options)
+
+        # What the single env has and a batch can't have.
         for name, needed in (("link", "planar"), ("faults", None)):
             value = getattr(chosen, name)
             if value != needed:
@@ -202,7 +204,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         """Begin new episodes for all robots, or those in `options["reset_mask"]`.
 
         Args:
-            seed: s seeds robot i with s + i. A list has one seed for each robot. None keeps the
+            seed: Seed s seeds robot i with s + i. A list has a seed for each robot. None keeps the
                 generators.
             options: Options of these robots until they are reset again, see the class.
 
@@ -223,6 +225,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             )
         seeds = check_seeds(seed, self.num_envs)
 
+        # An interrupted call leaves robots between two states.
         self._is_intact = False
         self.batch.seed(seeds, mask)
         self.batch.set_reset_options(fields, mask)
@@ -271,8 +274,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Raises:
             CommandError: An action has another shape, is NaN or infinite, or isn't numbers. The
                 message names the first bad env.
-            ConfigError: Before a reset, after an interrupted call or `close`, or for an env that
-                has ended.
+            ConfigError: There was no reset since an interrupted call, the batch is closed, or an
+                env has ended.
             ConfigError: The task fails, or returns NaN.
             AcsarError: A sensor fails, or returns NaN.
         """
@@ -291,8 +294,12 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         self._is_intact = False
         tables.actions[:] = actions
+
+        # With NEXT_STEP a robot that has ended starts an episode instead of driving.
         tables.begins[:] = self.autoreset_mode is AutoresetMode.NEXT_STEP and self._done
         batch.step(self._threads.share)
+
+        # Loops write into the same arrays again, and callers keep what they got.
         rewards = tables.rewards.copy()
         terminated = tables.terminated.copy()
         truncated = tables.truncated.copy()
@@ -319,7 +326,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         The first 16 robots are drawn from above, the pictures of others are empty.
 
         Raises:
-            ConfigError: Before the first reset.
+            ConfigError: There was no reset.
         """
         if self._screen is None:
             return None
@@ -329,6 +336,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
     def _final_info(self, done: Array) -> Info:
         """The keys that Gymnasium asks for where an episode ends and is reset in the same step."""
+        # Robots that go on have no final observation: the array holds objects.
         final = np.full(self.num_envs, None, object)
         for index in np.flatnonzero(done):
             final[index] = self.batch.tables.observations[index].copy()

@@ -30,7 +30,7 @@ class BatchOptions(SharedOptions):
 
 
 def check_seeds(seed: Any, robots: int) -> list[int | None] | None:
-    """Return a seed for each robot; None if nothing is seeded."""
+    """Return a seed for each robot. None if nothing is seeded."""
     if seed is None:
         return None
     is_single = isinstance(seed, int | np.integer)
@@ -73,6 +73,8 @@ def _read_goals(spawn: Spawn, value: Any, robots: int) -> ResetOptions:
         x, y = goals[robot].tolist()
         if not np.isfinite([x, y]).all():
             raise ConfigError(f"goal of robot {robot} = ({x}, {y}): must be finite numbers [m]")
+
+        # Worlds may have goals anywhere, an open floor has limits.
         if spawn.pool is None:
             spawn.check_goal((x, y))
     return {
@@ -86,6 +88,8 @@ def _rank_worlds(pool: Pool, value: Any, robots: int) -> ResetOptions:
     """Ranks of the worlds whose difficulties lie in ranges."""
     ranges = _spread_option("difficulty", value, robots, width=2)
     ranks = np.zeros((robots, 2))
+
+    # Robots share few ranges, and each is looked up once.
     rows, which = np.unique(ranges, axis=0, return_inverse=True)
     for number, (low, high) in enumerate(rows.tolist()):
         if not (np.isnan(low) and np.isnan(high)):
@@ -95,7 +99,7 @@ def _rank_worlds(pool: Pool, value: Any, robots: int) -> ResetOptions:
 
 
 def _place_worlds(pool: Pool, value: Any, robots: int) -> Array:
-    """Places of the worlds that are chosen, from 1; 0 for a robot without a choice."""
+    """Places of the worlds that are chosen, from 1. 0 for a robot without a choice."""
     if pool.numbers is None:
         raise ConfigError(
             "world: a number names no world of several sets: draw with 'difficulty', or make a "
@@ -110,6 +114,8 @@ def _place_worlds(pool: Pool, value: Any, robots: int) -> Array:
     if (is_wished & ~is_sound).any():
         bad = int(np.argmax(is_wished & ~is_sound))
         raise ConfigError(f"world of robot {bad} = {numbers[bad]:g}: must be of {pool}")
+
+    # 0 stands for no choice, so places count from 1.
     places: Array = np.where(is_wished, numbers - first + 1.0, 0.0)
     return places
 

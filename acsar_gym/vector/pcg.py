@@ -24,7 +24,7 @@ _MASK = np.uint64(0xFFFFFFFF)
 
 
 def seed_row(seed: int | None) -> tuple[int, int, int, int]:
-    """Row of a new `np.random.PCG64(seed)`; None draws a seed from the system."""
+    """Row of a new `np.random.PCG64(seed)`. None draws a seed from the system."""
     return row_of(np.random.PCG64(seed))
 
 

@@ -13,20 +13,17 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, check_extra, show_value
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.vector.batch import Batch
+from acsar_gym.worlds import Pose
 from acsar_gym.worlds.world import to_world
 
 MAX_PICTURES = 16
-"""Most robots that are drawn. The pictures of the others are empty."""
+"""Most robots that are drawn, all of the first block. The pictures of other robots are empty."""
 TILE_SIDE = 240
 """Width and height of a robot's picture [pixels]."""
 LARGEST_SIDE = 1920
 """Of all pictures as a square, which Gymnasium's recorder makes of them [pixels]."""
 SMALLEST_SIDE = 64
 EMPTY_COLOUR = (231, 233, 236)
-FIELDS = (
-    *("steps", "start_x", "start_y", "start_theta", "goal_x", "goal_y", "world", "kind"),
-    *("odom_x", "odom_y", "odom_theta", "true_x", "true_y", "theta"),
-)
 Image = NDArray[np.uint8]  # (height, width, 3), RGB
 Point = tuple[float, float]
 
@@ -50,65 +47,72 @@ class BatchScreen:
         self._fleet = fleet
         self._robots = robots
         self._tolerance = tolerance
-        self._drawn = min(robots, MAX_PICTURES)
+
+        # All pictures together fit into a video, whose sides have to be even.
         columns = math.isqrt(robots - 1) + 1
         side = min(TILE_SIDE, max(SMALLEST_SIDE, LARGEST_SIDE // columns // 2 * 2))
         self._size = (side, side)
         self._views: list[Any] = []
-        self._paths: list[tuple[list[Point], list[Point]]] = [([], []) for _ in range(self._drawn)]
-        self._state: NDArray[np.float64] = np.zeros((len(FIELDS), self._drawn))
-        self._movers: list[NDArray[np.float64] | None] = [None] * self._drawn
+        self._odom_paths: list[list[Point]] = [[] for _ in range(min(robots, MAX_PICTURES))]
+        self._true_paths: list[list[Point]] = [[] for _ in self._odom_paths]
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy the settings only: a copy has no recorded paths."""
         return BatchScreen, (self._fleet, self._robots, self._tolerance)
 
     def show(self, batch: Batch) -> None:
-        """Record the robots' new states."""
-        self._state = batch.read(*FIELDS)[:, : self._drawn]
-        for robot, (odom_path, true_path) in enumerate(self._paths):
-            state = dict(zip(FIELDS, self._state[:, robot].tolist(), strict=True))
-            if state["steps"] == 0.0:
+        """Record where the robots are now."""
+        for robot in range(len(self._odom_paths)):
+            odom_path = self._odom_paths[robot]
+            true_path = self._true_paths[robot]
+            if batch.tables.blocks[0]["steps"][robot] == 0.0:
                 odom_path.clear()
                 true_path.clear()
-            start = state["start_x"], state["start_y"], state["start_theta"]
-            odom_path.append(to_world(start, (state["odom_x"], state["odom_y"], 0.0))[:2])
-            true_path.append(to_world(start, (state["true_x"], state["true_y"], 0.0))[:2])
-            self._movers[robot] = batch.copy_movers(robot, int(state["world"]))
+            odom_path.append(_pose_in_world(batch, robot, "odom_x", "odom_y")[:2])
+            true_path.append(_pose_in_world(batch, robot, "true_x", "true_y")[:2])
 
     def pictures(self, batch: Batch) -> tuple[Image, ...]:
         """Draw the newest states, a picture (height, width, 3) for each robot of the batch."""
         from acsar_gym.render.top_view import TopView  # noqa: PLC0415 - needs Pillow
 
+        drawn = range(len(self._odom_paths))
         if not self._views:
-            kinds = [self._fleet[robot % len(self._fleet)] for robot in range(self._drawn)]
+            kinds = [self._fleet[robot % len(self._fleet)] for robot in drawn]
             self._views = [TopView(config, self._size) for config in kinds]
-        drawn = [self._draw(batch, robot) for robot in range(self._drawn)]
         empty = np.full((*self._size, 3), EMPTY_COLOUR, np.uint8)
-        return (*drawn, *[empty] * (self._robots - self._drawn))
+        pictures = [self._draw(batch, robot) for robot in drawn]
+        return (*pictures, *[empty] * (self._robots - len(drawn)))
 
     def _draw(self, batch: Batch, robot: int) -> Image:
         """Draw one robot."""
         from acsar_gym.render.top_view import TopViewFrame  # noqa: PLC0415 - needs Pillow
 
-        state = dict(zip(FIELDS, self._state[:, robot].tolist(), strict=True))
         config = self._fleet[robot % len(self._fleet)]
-        start = state["start_x"], state["start_y"], state["start_theta"]
+        world = int(batch.tables.blocks[0]["world"][robot])
+        steps = batch.tables.blocks[0]["steps"][robot]
         ranges = batch.tables.ranges[robot]
-        spec = ray_spec(config)
+        angles = ray_spec(config).angles()
         frame = TopViewFrame(
-            world=batch.worlds[int(state["world"])] if batch.worlds else None,
-            odom=to_world(start, (state["odom_x"], state["odom_y"], state["odom_theta"])),
-            truth=to_world(start, (state["true_x"], state["true_y"], state["theta"])),
-            goal=to_world(start, (state["goal_x"], state["goal_y"], 0.0))[:2],
+            world=batch.worlds[world] if batch.worlds else None,
+            odom=_pose_in_world(batch, robot, "odom_x", "odom_y", "odom_theta"),
+            truth=_pose_in_world(batch, robot, "true_x", "true_y", "theta"),
+            goal=_pose_in_world(batch, robot, "goal_x", "goal_y")[:2],
             goal_radius=self._tolerance,
-            odom_path=self._paths[robot][0],
-            true_path=self._paths[robot][1],
-            rays=(spec.angles(), ranges[: len(spec.angles())]) if len(ranges) else None,
+            odom_path=self._odom_paths[robot],
+            true_path=self._true_paths[robot],
+            rays=(angles, ranges[: len(angles)]) if len(ranges) else None,
             reach=config.lidar.max_range,
-            movers=self._movers[robot],
-            caption=f"{robot}: step {state['steps']:.0f}",
+            movers=batch.copy_movers(robot, world),
+            caption=f"{robot}: step {steps:.0f}",
         )
         image: Image = np.array(self._views[robot].draw(frame), np.uint8)
         image[-1, :] = image[:, -1] = EMPTY_COLOUR  # between tiles
         return image
+
+
+def _pose_in_world(batch: Batch, robot: int, *names: str) -> Pose:
+    """A pose in the frame of a robot's world, from the fields of its place, and of its heading."""
+    robots = batch.tables.blocks[0]
+    fields = ("start_x", "start_y", "start_theta", *names)
+    x, y, theta, *pose = [float(robots[name][robot]) for name in fields]
+    return to_world((x, y, theta), (pose[0], pose[1], pose[2] if len(pose) > 2 else 0.0))

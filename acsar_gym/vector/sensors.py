@@ -67,6 +67,8 @@ def make_batch_sensors(
                 f"sensor {sensor.name!r}: a batch has only its own: name it {sensor.name!r} in "
                 "sensors"
             )
+
+        # Polls come between ticks, which a batch runs in compiled code.
         if sensor.name not in BUILT_IN and (is_polled(sensor) or sensor.needs):
             raise ConfigError(
                 f"sensor {sensor.name!r}: has poll or needs, which a batch doesn't have: measure "
@@ -112,6 +114,8 @@ class BatchSensors:
         """Reset the sensors of robots that start an episode, and read them."""
         names = ("start_x", "start_y", "start_theta", "goal_x", "goal_y", "world")
         rows = layout.read_fields(self._tables.blocks, names, robots).T.tolist()
+
+        # Scenes are Python objects: only those of new episodes are made.
         for robot, (x, y, theta, ahead, aside, number) in zip(robots, rows, strict=True):
             start = (x, y, theta)
             world = self._worlds[int(number)] if self._worlds else None
@@ -126,6 +130,8 @@ class BatchSensors:
         """Write what the sensors read into the observations, and their info."""
         if len(robots) == 0:
             return
+
+        # NumPy's generators go on from the states that compiled loops use.
         rngs = LentGenerators(self._tables.random, robots.tolist(), self._generators)
         view = self._describe(robots, rngs)
         try:
@@ -149,12 +155,15 @@ class BatchSensors:
         """What sensors may know of these robots."""
         rows = layout.read_fields(self._tables.blocks, SENSED_FIELDS, robots)
         field = SimpleNamespace(**dict(zip(SENSED_FIELDS, rows, strict=True)))
+
+        # Sensors see the frame of the world, the batch has the odometry frame.
         x = field.start_x + field.start_cos * field.true_x - field.start_sin * field.true_y
         y = field.start_y + field.start_sin * field.true_x + field.start_cos * field.true_y
         theta = field.start_theta + field.theta
         theta -= layout.TURN * np.rint(theta / layout.TURN)
         forward = field.vx * np.cos(field.theta) + field.vy * np.sin(field.theta)
 
+        # In most steps all robots drive, and no list is made.
         are_all = len(robots) == len(self._scenes)
         return SensorInput(
             pose=np.column_stack([x, y, theta]),
@@ -209,6 +218,7 @@ class SensorReader:
         method = self._methods[name]
 
         if self._is_compiled:
+            # Compiled code draws from rows of states, and sees no Python objects.
             robots.rngs.give_back()
             random = self._random[places]
             try:

@@ -72,6 +72,8 @@ class Threads:
             self._pool = ThreadPoolExecutor(self._count - 1)
 
         edges = [items * n // self._count for n in range(self._count + 1)]
+
+        # The caller takes a slice as well, so Ctrl-C interrupts it between two blocks.
         first, *slices = itertools.pairwise(edges)
         self._running = [self._pool.submit(work, *limits) for limits in slices]
         try:

@@ -96,7 +96,6 @@ it."""
 Point = tuple[float, float]
 Twist = tuple[float, float]  # forward speed [m/s], yaw rate [rad/s]
 
-
 X, Y, VX, VY, CLOCK, AX, AY, PACE, NEAR, LOOK = range(10)
 """Columns of the state of a mover: place [m] and velocity [m/s], then CLOCK, the time of its motion
 [s]: at the start of the episode, or now for a person who reacts. AX and AY are the acceleration of
@@ -116,6 +115,16 @@ class RobotMotion(NamedTuple):
     sin: float
     forward: float
     rate: float
+
+
+class Disc(NamedTuple):
+    """What people see of another person or of the robot [m, m/s]."""
+
+    x: float
+    y: float
+    vx: float
+    vy: float
+    radius: float
 
 
 class Hall(NamedTuple):
@@ -144,28 +153,27 @@ def begin_crowd(hall: Hall, states: Floats) -> None:
     """Put all movers where they are when an episode starts."""
     states[:] = 0.0
     for m in range(len(hall.movers)):
-        mover = hall.movers[m]
-        if mover[RADIUS] > 0.0:
-            states[m, CLOCK] = draw_offset(mover, m, hall.key)
-            place_mover(hall, mover, states[m], time=0.0)
+        if hall.movers[m, RADIUS] > 0.0:
+            states[m, CLOCK] = draw_offset(hall.movers[m], m, hall.key)
+            place_mover(hall, states, m, time=0.0)
 
 
 @jit
-def place_mover(hall: Hall, mover: Floats, state: Floats, time: float) -> None:
-    """Put a mover where its motion is at a time since the start of the episode."""
-    x, y, vx, vy = locate_mover(mover, hall.pieces, time + state[CLOCK])
-    state[X] = x
-    state[Y] = y
-    state[VX] = vx
-    state[VY] = vy
+def place_mover(hall: Hall, states: Floats, m: int, time: float) -> None:
+    """Put mover m where its motion is at a time since the start of the episode."""
+    x, y, vx, vy = locate_mover(hall.movers[m], hall.pieces, time + states[m, CLOCK])
+    states[m, X] = x
+    states[m, Y] = y
+    states[m, VX] = vx
+    states[m, VY] = vy
 
 
 @subroutine
 def place_crowd(hall: Hall, states: Floats, time: float) -> None:
     """Put all movers that don't react where they are at a time since the start of the episode."""
-    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
-        if mover[RADIUS] > 0.0 and mover[REACTS] == 0.0:
-            place_mover(hall, mover, state, time=time)
+    for m in range(len(states)):
+        if hall.movers[m, RADIUS] > 0.0 and hall.movers[m, REACTS] == 0.0:
+            place_mover(hall, states, m, time=time)
 
 
 @subroutine
@@ -193,46 +201,48 @@ def advance_crowd(
     hit = NO_HIT
     entered = 0.0
     next_look = tick + 1.0 if hall.is_reacting else np.inf
-    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
-        if mover[RADIUS] < 0.0:
+    for m in range(len(states)):
+        if hall.movers[m, RADIUS] < 0.0:
             break
-        if tick >= state[LOOK]:
-            if mover[REACTS] == 0.0:
-                place_mover(hall, mover, state, time=tick * hall.period)
-            was_near = state[NEAR]
-            free, contact = look_at_mover(hall, mover, state, robot)
-            entered += 1.0 if state[NEAR] > was_near else 0.0
+        if tick >= states[m, LOOK]:
+            if hall.movers[m, REACTS] == 0.0:
+                place_mover(hall, states, m, time=tick * hall.period)
+            was_near = states[m, NEAR]
+            free, contact = look_at_mover(hall, states, m, robot)
+            entered += 1.0 if states[m, NEAR] > was_near else 0.0
             hit = contact if hit == NO_HIT else hit
 
             # Neither a contact nor an intrusion can change until both have come this far.
-            fastest = (top_speed + SPEED_SHARE * mover[SPEED]) * hall.period
-            jumps = may_jump(mover, tick * hall.period + state[CLOCK], LONGEST_LOOK)
+            fastest = (top_speed + SPEED_SHARE * hall.movers[m, SPEED]) * hall.period
+            now = tick * hall.period + states[m, CLOCK]
+            jumps = may_jump(hall.movers[m], now, LONGEST_LOOK)
             ticks = 1.0 if jumps else min(np.floor(free / fastest), LONGEST_LOOK / hall.period)
-            state[LOOK] = tick + max(ticks, 1.0)
-        next_look = min(next_look, state[LOOK])
+            states[m, LOOK] = tick + max(ticks, 1.0)
+        next_look = min(next_look, states[m, LOOK])
     return hit, entered, next_look
 
 
 @jit
-def look_at_mover(hall: Hall, mover: Floats, state: Floats, robot: RobotMotion) -> Point:
-    """Set whether the robot is in a mover's personal space.
+def look_at_mover(hall: Hall, states: Floats, m: int, robot: RobotMotion) -> Point:
+    """Set whether the robot is in the personal space of mover m.
 
     Returns:
-        By how much the two hulls can change their distance until that, or a contact, starts or ends
-        [m], and whether they touch, such as ROBOT_HIT.
+        The change of distance between the two hulls until that, or a contact, can start or end [m],
+        and whether they touch, such as ROBOT_HIT.
     """
-    dx = state[X] - robot.x
-    dy = state[Y] - robot.y
-    near = outer_radius(hall.around, hall.kind) + mover[RADIUS] + PERSONAL_SPACE
+    radius = hall.movers[m, RADIUS]
+    dx = states[m, X] - robot.x
+    dy = states[m, Y] - robot.y
+    near = outer_radius(hall.around, hall.kind) + radius + PERSONAL_SPACE
     square = dx * dx + dy * dy
     if square > near * near:
-        state[NEAR] = 0.0
+        states[m, NEAR] = 0.0
         return math.sqrt(square) - near, NO_HIT
 
     ahead, aside = turn_back(dx, dy, robot.cos, robot.sin)
     gap, at_x, at_y = footprint_gap(ahead, aside, hall.around, hall.kind)
-    gap -= mover[RADIUS]
-    state[NEAR] = 1.0 if gap < PERSONAL_SPACE else 0.0
+    gap -= radius
+    states[m, NEAR] = 1.0 if gap < PERSONAL_SPACE else 0.0
     if gap > 0.0:
         return min(gap, abs(gap - PERSONAL_SPACE)), NO_HIT
     return 0.0, ROBOT_HIT if comes_nearer(ahead, aside, at_x, at_y, robot=robot) else PERSON_HIT
@@ -261,22 +271,39 @@ def walk_crowd(hall: Hall, states: Floats, tick: int, robot: RobotMotion) -> Non
     interval = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
     if (tick - 1) % interval == 0:
         place_crowd(hall, states, tick * hall.period)
-        visible = see_robot(robot)
+        visible = see_robot(hall, robot)
         for m in range(len(states)):
             if hall.movers[m, REACTS] > 0.0:
                 decide_step(hall, states, m, visible)
 
-    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
-        if mover[REACTS] > 0.0:
-            walk_on(mover, state, hall.period)
+    for m in range(len(states)):
+        if hall.movers[m, REACTS] > 0.0:
+            walk_on(hall, states, m)
 
 
 @jit
-def see_robot(robot: RobotMotion) -> Floats:
-    """Place and velocity of the robot as people see it, in columns as of a state."""
+def see_robot(hall: Hall, robot: RobotMotion) -> Disc:
+    """The robot as people see it."""
     forward = round_seen(robot.forward)
-    vx = forward * round_seen(robot.cos)
-    return np.array([round_seen(robot.x), round_seen(robot.y), vx, forward * round_seen(robot.sin)])
+    return Disc(
+        x=round_seen(robot.x),
+        y=round_seen(robot.y),
+        vx=forward * round_seen(robot.cos),
+        vy=forward * round_seen(robot.sin),
+        radius=outer_radius(hall.around, hall.kind),
+    )
+
+
+@jit
+def see_mover(hall: Hall, states: Floats, m: int) -> Disc:
+    """Mover m as others see it."""
+    return Disc(
+        x=states[m, X],
+        y=states[m, Y],
+        vx=states[m, VX],
+        vy=states[m, VY],
+        radius=hall.movers[m, RADIUS],
+    )
 
 
 @jit
@@ -302,75 +329,76 @@ def limit_length(x: float, y: float, longest: float) -> Point:
 
 
 @subroutine
-def decide_step(hall: Hall, states: Floats, m: int, robot: Floats) -> None:
+def decide_step(hall: Hall, states: Floats, m: int, robot: Disc) -> None:
     """Set the acceleration of person m, and the pace of its motion, until the next decision."""
     mover = hall.movers[m]
-    state = states[m]
+    person = see_mover(hall, states, m)
+    clock = states[m, CLOCK]
 
     # The motion waits for a person who is behind.
-    goal_x, goal_y, goal_vx, goal_vy = locate_mover(mover, hall.pieces, state[CLOCK])
-    off_x = goal_x - state[X]
-    off_y = goal_y - state[Y]
+    goal_x, goal_y, goal_vx, goal_vy = locate_mover(mover, hall.pieces, clock)
+    off_x = goal_x - person.x
+    off_y = goal_y - person.y
     is_behind = off_x * goal_vx + off_y * goal_vy > 0.0
     behind = length_of(off_x, off_y) if is_behind else 0.0
-    state[PACE] = max(1.0 - behind / LEASH, 0.0)
+    states[m, PACE] = max(1.0 - behind / LEASH, 0.0)
 
     # The wanted velocity leads to where the motion will be.
-    to_x, to_y, _, _ = locate_mover(mover, hall.pieces, state[CLOCK] + LOOKAHEAD_TIME)
+    to_x, to_y, _, _ = locate_mover(mover, hall.pieces, clock + LOOKAHEAD_TIME)
     want = limit_length(
-        (to_x - state[X]) / LOOKAHEAD_TIME,
-        (to_y - state[Y]) / LOOKAHEAD_TIME,
+        (to_x - person.x) / LOOKAHEAD_TIME,
+        (to_y - person.y) / LOOKAHEAD_TIME,
         SPEED_SHARE * mover[SPEED],
     )
 
     relaxation = draw_trait(hall.key, m, 0, limits=RELAXATION_TIMES)
     crowd = push_from_others(hall, states, m, robot, want)
-    walls = push_from_walls(hall, state, mover[RADIUS])
-    ax = (want[0] - state[VX]) / relaxation + crowd[0] + walls[0]
-    ay = (want[1] - state[VY]) / relaxation + crowd[1] + walls[1]
-    state[AX], state[AY] = limit_length(ax, ay, MOST_PUSH)
+    walls = push_from_walls(hall, person)
+    ax = (want[0] - person.vx) / relaxation + crowd[0] + walls[0]
+    ay = (want[1] - person.vy) / relaxation + crowd[1] + walls[1]
+    states[m, AX], states[m, AY] = limit_length(ax, ay, MOST_PUSH)
 
 
 @jit
-def push_from_others(hall: Hall, states: Floats, m: int, robot: Floats, want: Point) -> Point:
+def push_from_others(hall: Hall, states: Floats, m: int, robot: Disc, want: Point) -> Point:
     """Push on person m from other movers, and from the robot if the person sees it [m/s^2].
 
     `want` is the velocity that the person wants [m/s], and the direction of its look.
     """
-    mover = hall.movers[m]
     strength = draw_trait(hall.key, m, 1, limits=STRENGTHS)
-    person = states[m]
-    push = np.zeros(2)
+    person = see_mover(hall, states, m)
+    total_x = 0.0
+    total_y = 0.0
     for n in range(len(states)):
-        radius = hall.movers[n, RADIUS]
-        if n != m and radius > 0.0:
-            push_from(states[n], person, push, mover[RADIUS] + radius, want, strength=strength)
-    if mover[SEES_ROBOT] > 0.0:
-        radii = mover[RADIUS] + outer_radius(hall.around, hall.kind)
-        push_from(robot, person, push, radii, want, strength=strength)
+        if n != m and hall.movers[n, RADIUS] > 0.0:
+            push_x, push_y = push_from(see_mover(hall, states, n), person, want, strength)
+            total_x += push_x
+            total_y += push_y
+    if hall.movers[m, SEES_ROBOT] > 0.0:
+        push_x, push_y = push_from(robot, person, want, strength)
+        total_x += push_x
+        total_y += push_y
 
     cos = math.cos(SIDESTEP)
     sin = math.sin(SIDESTEP)
-    return cos * push[X] - sin * push[Y], sin * push[X] + cos * push[Y]
+    return cos * total_x - sin * total_y, sin * total_x + cos * total_y
 
 
 @subroutine
-def push_from(
-    other: Floats, person: Floats, push: Floats, radii: float, want: Point, strength: float
-) -> None:
-    """Add the push of another disc on a person [m/s^2]. See `X` for the columns of both.
+def push_from(other: Disc, person: Disc, want: Point, strength: float) -> Point:
+    """Push of another disc on a person [m/s^2].
 
     The potential is strength * exp(-(b - radii) / PUSH_RANGE), b being the semi-minor axis of the
     ellipse, and `radii` those of the two, which the published potential leaves out.
     """
-    dx = person[X] - other[X]
-    dy = person[Y] - other[Y]
+    dx = person.x - other.x
+    dy = person.y - other.y
     straight = length_of(dx, dy)
     if straight > FARTHEST_PUSH:
-        return
+        return 0.0, 0.0
 
-    stride_x = STRIDE_TIME * (other[VX] - person[VX])
-    stride_y = STRIDE_TIME * (other[VY] - person[VY])
+    stride_x = STRIDE_TIME * (other.vx - person.vx)
+    stride_y = STRIDE_TIME * (other.vy - person.vy)
     later_x = dx - stride_x
     later_y = dy - stride_y
     distance = straight + 1e-9
@@ -378,58 +406,66 @@ def push_from(
     total = distance + later
     stride = stride_x * stride_x + stride_y * stride_y
     axis = 0.5 * math.sqrt(max(total * total - stride, 1e-6))
+    radii = person.radius + other.radius
     force = strength / PUSH_RANGE * math.exp(min((radii - axis) / PUSH_RANGE, 2.0))
     force *= total / (4.0 * axis)
 
-    speed = length_of(want[X], want[Y])
-    is_ahead = -(want[X] * dx + want[Y] * dy) >= SIGHT_COSINE * speed * straight
+    speed = length_of(want[0], want[1])
+    is_ahead = -(want[0] * dx + want[1] * dy) >= SIGHT_COSINE * speed * straight
     share = 1.0 if is_ahead else BEHIND_SHARE
-    push[X] += share * (force * (dx / distance + later_x / later))
-    push[Y] += share * (force * (dy / distance + later_y / later))
+    push_x = share * (force * (dx / distance + later_x / later))
+    return push_x, share * (force * (dy / distance + later_y / later))
 
 
 @jit
-def push_from_walls(hall: Hall, person: Floats, radius: float) -> Floats:
+def push_from_walls(hall: Hall, person: Disc) -> Point:
     """Push on a person from standing obstacles [m/s^2]."""
-    x = person[X]
-    y = person[Y]
-    push = np.zeros(2)
+    total_x = 0.0
+    total_y = 0.0
     circles = hall.around.circles
     for n in range(circles.shape[1]):
-        dx = x - circles[hall.which, n, X]
-        dy = y - circles[hall.which, n, Y]
-        push_from_wall(push, dx, dy, radius + circles[hall.which, n, CIRCLE_RADIUS])
+        dx = person.x - circles[hall.which, n, X]
+        dy = person.y - circles[hall.which, n, Y]
+        reach = person.radius + circles[hall.which, n, CIRCLE_RADIUS]
+        push_x, push_y = push_from_wall(dx, dy, reach)
+        total_x += push_x
+        total_y += push_y
+
     for n in range(hall.around.segments.shape[1]):
         wall = line_at(hall.around.segments, hall.which, n)
-        dx, dy = offset_from(x, y, wall, share_along(x, y, wall))
-        push_from_wall(push, dx, dy, radius)
-    return push
+        share = share_along(person.x, person.y, wall)
+        dx, dy = offset_from(person.x, person.y, wall, share)
+        push_x, push_y = push_from_wall(dx, dy, person.radius)
+        total_x += push_x
+        total_y += push_y
+    return total_x, total_y
 
 
 @jit
-def push_from_wall(push: Floats, dx: float, dy: float, reach: float) -> None:
-    """Add the push of a wall, which is in touch at a distance of `reach`, from its place."""
+def push_from_wall(dx: float, dy: float, reach: float) -> Point:
+    """Push of a wall, which is in touch at a distance of `reach`, from its place [m/s^2]."""
     square = dx * dx + dy * dy
     if square < (reach + FARTHEST_WALL) ** 2:
         distance = math.sqrt(square) + 1e-9
         force = WALL_PUSH * math.exp((reach - distance) / WALL_RANGE)
-        push[X] += force * dx / distance
-        push[Y] += force * dy / distance
+        return force * dx / distance, force * dy / distance
+    return 0.0, 0.0
 
 
 @subroutine
-def walk_on(mover: Floats, state: Floats, period: float) -> None:
-    """Let a person who reacts walk for a tick as decided."""
+def walk_on(hall: Hall, states: Floats, m: int) -> None:
+    """Let person m, who reacts, walk for a tick as decided."""
+    period = hall.period
     vx, vy = limit_length(
-        state[VX] + state[AX] * period,
-        state[VY] + state[AY] * period,
-        SPEED_SHARE * mover[SPEED],
+        states[m, VX] + states[m, AX] * period,
+        states[m, VY] + states[m, AY] * period,
+        SPEED_SHARE * hall.movers[m, SPEED],
     )
-    state[VX] = vx
-    state[VY] = vy
-    state[X] += vx * period
-    state[Y] += vy * period
-    state[CLOCK] += state[PACE] * period
+    states[m, VX] = vx
+    states[m, VY] = vy
+    states[m, X] += vx * period
+    states[m, Y] += vy * period
+    states[m, CLOCK] += states[m, PACE] * period
 
 
 # What is measured
@@ -447,20 +483,20 @@ def survey_crowd(hall: Hall, states: Floats, robot: RobotMotion) -> Point:
     nearest = FARTHEST_PERSON
     soonest = FARTHEST_COLLISION
     outer = outer_radius(hall.around, hall.kind)
-    for mover, state in zip(hall.movers, states):  # noqa: B905 - for numba
-        radius = mover[RADIUS]
+    for m in range(len(states)):
+        radius = hall.movers[m, RADIUS]
         if radius < 0.0:
             break
 
-        dx = state[X] - robot.x
-        dy = state[Y] - robot.y
+        dx = states[m, X] - robot.x
+        dy = states[m, Y] - robot.y
         reach = nearest + outer + radius
         if dx * dx + dy * dy < reach * reach:
             ahead, aside = turn_back(dx, dy, robot.cos, robot.sin)
             gap, _, _ = footprint_gap(ahead, aside, hall.around, hall.kind)
             nearest = min(nearest, max(gap - radius, 0.0))
-        vx = state[VX] - robot.forward * robot.cos
-        vy = state[VY] - robot.forward * robot.sin
+        vx = states[m, VX] - robot.forward * robot.cos
+        vy = states[m, VY] - robot.forward * robot.sin
         soonest = min(soonest, time_to_touch(dx, dy, vx, vy, radii=outer + radius))
     return nearest, soonest
 

@@ -217,7 +217,7 @@ def load_folder(folder: Path, placement: Placement | None = None) -> list[World]
 
     Args:
         folder: The folder. Its subfolders aren't searched.
-        placement: As in `load_world`, for all of them.
+        placement: Placement of all of them, see `load_world`.
 
     Returns:
         The worlds.
@@ -256,7 +256,7 @@ def format_world(world: World, suffix: str) -> bytes:
 
     Args:
         world: The world.
-        suffix: As in `save_world`.
+        suffix: Suffix of the files, see `save_world`.
 
     Returns:
         The content of the file.

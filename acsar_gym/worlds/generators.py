@@ -72,7 +72,7 @@ def generate_world(
     Args:
         kind: One of `registry.list_kinds`.
         number: Number of the world, from 0.
-        difficulty: From 0 to 1. None or a range varies it from world to world.
+        difficulty: Difficulty from 0 to 1. None or a range varies it from world to world.
         radius: Radius of the disc around the robot's footprint [m].
 
     Raises:

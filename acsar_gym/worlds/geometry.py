@@ -385,7 +385,7 @@ def measure_ranges(
     """Compute ranges at any bearings by NumPy.
 
     Args:
-        place: x and y at which all rays start, or (rays,) each [m].
+        place: Place x, y at which all rays start, or (rays,) each [m].
         bearings: (rays,): directions of the rays [rad].
         world: Obstacles, or None for an open floor.
         moved: (rays, movers, 2): where the world's movers were when each ray was measured [m], or

@@ -160,7 +160,7 @@ class Mover:
             share: The episode's draw, 0 to 1, of `spread`.
 
         Returns:
-            x and y in the frame of the world [m].
+            Place x, y in the frame of the world [m].
         """
         return self._locate(time, share)[:2]
 
@@ -189,7 +189,7 @@ def walk(
         speed: Speed on all lines, or a list with the speed on each line [m/s].
         pauses: Pause at all points, the first one included, or a list with the pause at each [s].
         repeat: What follows at the end. With LOOP the mover walks on to the first point.
-        name: As in `Mover`.
+        name: Name of the mover.
         **options: Other fields of `Mover`, such as radius=0.3, phase=2.0, reacts=True.
 
     Returns:
@@ -251,7 +251,7 @@ def follow_keys(
             of a closed one, whose first and last points are the same (gz-math, src/Spline.cc).
         tension: Tension of the spline, 0 to 1. With 1 the mover stops at every point.
         repeat: What follows at the last time. With LOOP the mover jumps to the first point.
-        name: As in `Mover`.
+        name: Name of the mover.
         **options: Other fields of `Mover`, such as radius=0.3, phase=2.0, reacts=True.
 
     Returns:
@@ -395,7 +395,7 @@ def locate_mover(mover: Floats, pieces: Floats, clock: float) -> Quad:
         clock: Time since the episode's start, plus the offset of `draw_offset` [s].
 
     Returns:
-        x, y [m] and their rates [m/s], in the frame of the world.
+        Place x, y [m] and its rates [m/s], in the frame of the world.
     """
     number, s, direction = find_piece(mover, pieces, clock)
     x, vx = _evaluate(pieces[number], X0, s)

@@ -289,7 +289,7 @@ def draw_walker(
         rng: Random numbers.
         world: Obstacles and the robot's start, near which the person doesn't start.
         areas: Boxes in which the person stops.
-        difficulty: From 0 to 1.
+        difficulty: Difficulty from 0 to 1.
         radius: Radius of the robot [m].
         taken: Places where others may start, whom the person overlaps at the start of no episode.
             None if they may overlap.

@@ -63,14 +63,14 @@ def register(name: str, make: Maker) -> None:
     spawned and not forked, such as those of `gymnasium.vector.AsyncVectorEnv`.
 
     Args:
-        name: lower-case letters, digits and underscores, at most 40, beginning with a letter.
-        make: called as `make(rng, difficulty, footprint_radius)` with a numpy.random.Generator,
+        name: Lower-case letters, digits and underscores, at most 40, beginning with a letter.
+        make: Called as `make(rng, difficulty, footprint_radius)` with a numpy.random.Generator,
             its only source of random numbers, a difficulty from 0 to 1, and the radius of the disc
             around the robot's footprint [m]. Returns a `World`, in m and rad of its own frame.
 
     Raises:
-        ConfigError: for another form of name, a name that is taken, or a `make` that can't be
-            called with three arguments. A module may register a name again.
+        ConfigError: The name has another form or is taken, or `make` can't be called with three
+            arguments. A module may register a name again.
 
     Example:
         >>> from acsar_gym.worlds import World, register

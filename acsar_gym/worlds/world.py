@@ -64,7 +64,8 @@ class World:
     """Obstacles, start and goal in the frame of the world (x, y [m], theta [rad]). Immutable.
 
     Raises:
-        WorldError: For wrong shapes, NaN, negative radii, or more than 20,000 obstacles.
+        WorldError: A shape is wrong, a number NaN, a radius negative, or there are more than 20,000
+            obstacles.
 
     Example:
         >>> world = World(circles=[[2.0, 0.0, 0.5]], goal=Region(4.0, 0.0))

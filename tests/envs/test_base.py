@@ -13,11 +13,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from env_tools import LINKS, POINT_GOAL, SEEING, Make, inner
 from mover_tools import HALL
 
 from acsar_gym.errors import ConfigError, MissingExtraError
 
+POINT_GOAL = "acsar_gym/PointGoal-v0"
+OBSTACLE_GOAL = "acsar_gym/ObstacleGoal-v1"
 AHEAD = np.array([1.0, 0.0], np.float32)
 ARC = np.array([0.5, 0.1], np.float32)
 
@@ -29,16 +30,14 @@ def hash_episode(env: gymnasium.Env[Any, Any], seed: int) -> str:
     return digest.hexdigest()
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_an_episode_leaves_no_trace_in_the_next(link: str, make: Make) -> None:
+def test_episode_leaves_no_trace_in_the_next(link: str, make: Any) -> None:
     env = make(link=link)
     first = hash_episode(env, 3)
     hash_episode(env, 4)
     assert hash_episode(env, 3) == first
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_driving_at_the_goal_ends_in_success(link: str, make: Make) -> None:
+def test_step_to_the_goal_ends_in_success(link: str, make: Any) -> None:
     env = make(link=link)
     env.reset(seed=0, options={"goal": (1.0, 0.0)})
     rewards = []
@@ -54,8 +53,8 @@ def test_driving_at_the_goal_ends_in_success(link: str, make: Make) -> None:
     assert sum(rewards) == pytest.approx(total)
 
 
-def test_a_reset_that_is_refused_stops_the_wheels(make: Make) -> None:
-    env = inner(make())
+def test_reset_that_is_refused_stops_the_wheels(make: Any) -> None:
+    env = make().unwrapped
     env.reset(seed=0)
     for _ in range(10):
         env.step(AHEAD)
@@ -68,23 +67,21 @@ def test_a_reset_that_is_refused_stops_the_wheels(make: Make) -> None:
 
 
 COPIES: dict[str, Callable[[Any], Any]] = {
-    "copy": copy.copy,
     "deepcopy": copy.deepcopy,
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),  # noqa: S301 - our own bytes
 }
 SCENES: list[tuple[str, str, dict[str, Any]]] = [
     (POINT_GOAL, "bullet", {}),
-    (POINT_GOAL, "planar", {}),
-    (SEEING[0], "planar", {"worlds": HALL}),
+    (OBSTACLE_GOAL, "planar", {"worlds": HALL}),
 ]
 
 
 @pytest.mark.parametrize("how", COPIES)
-@pytest.mark.parametrize(("env_id", "link", "options"), SCENES, ids=["bullet", "planar", "movers"])
-def test_a_copy_in_mid_episode_is_an_env_of_its_own(
-    how: str, env_id: str, link: str, options: dict[str, Any], make: Make
+@pytest.mark.parametrize(("env_id", "link", "options"), SCENES, ids=["bullet", "movers"])
+def test_copy_in_mid_episode_is_an_env_of_its_own(
+    how: str, env_id: str, link: str, options: dict[str, Any], make: Any
 ) -> None:
-    env = inner(make(env_id, link, **options))
+    env = make(env_id, link, **options).unwrapped
     env.reset(seed=3)
     env.step(AHEAD)
     pose = env.robot.odometry.pose
@@ -96,21 +93,19 @@ def test_a_copy_in_mid_episode_is_an_env_of_its_own(
     copied.close()
     assert (env.robot.active, env.robot.odometry.pose) == (True, pose)
 
-    episodes = [repr([one.reset(seed=7), one.step(ARC), one.step(ARC)]) for one in (env, copied)]
+    episodes = [repr([e.reset(seed=7), e.step(ARC), e.step(ARC)]) for e in (env, copied)]
     copied.close()
     assert episodes[0] == episodes[1]
 
 
 MISSING: list[tuple[str, dict[str, Any], str]] = [
     ("pybullet", {}, "bullet"),  # the default link
-    ("mujoco", {"link": "mujoco"}, "mujoco"),
     ("mcap", {"link": "planar", "record": "drive.mcap"}, "record"),
-    ("PIL", {"link": "planar", "render_mode": "rgb_array"}, "pictures"),
 ]
 
 
 @pytest.mark.parametrize(("module", "options", "extra"), MISSING)
-def test_an_env_without_its_extra_is_one_line_when_it_is_made(
+def test_make_without_its_extra_is_one_line(
     module: str, options: dict[str, Any], extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
@@ -119,10 +114,10 @@ def test_an_env_without_its_extra_is_one_line_when_it_is_made(
         gymnasium.make(POINT_GOAL, **options)
 
 
-def test_a_life_from_construction_to_the_end(make: Make) -> None:
-    """Nothing is opened before a reset; actions are clipped; closing twice is once."""
+def test_env_life_from_construction_to_the_end(make: Any) -> None:
+    """Nothing is opened before a reset, actions are clipped, and closing twice is once."""
     make(link="/dev/there-is-no-such-port").close()
-    env = inner(make(render_mode="rgb_array"))
+    env = make(render_mode="rgb_array").unwrapped
     with pytest.raises(ConfigError, match=r"step\(\) before reset\(\)"):
         env.step(AHEAD)
     with pytest.raises(ConfigError, match="reset"):

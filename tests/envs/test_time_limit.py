@@ -10,8 +10,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-import torch
-from env_tools import POINT_GOAL, Make, inner
 from gymnasium.wrappers import ClipAction, TimeLimit
 from serial_tools import Emulated, wait_until
 
@@ -21,6 +19,9 @@ from acsar_gym.tasks import PointGoal
 
 pytestmark = pytest.mark.xdist_group(__name__)
 Env = gymnasium.Env[Any, Any]
+
+
+POINT_GOAL = "acsar_gym/PointGoal-v0"
 
 
 def point_goal(**options: Any) -> RobotEnv:
@@ -39,48 +40,45 @@ def make_of_spec() -> Env:
 
 LIMITED: dict[str, tuple[Callable[[], Env], int]] = {
     "of the id": (make_planar, 200),
-    "make, shorter": (lambda: make_planar(max_episode_steps=5), 5),
     "spec": (make_of_spec, 5),
     "the env's own": (lambda: point_goal(max_episode_steps=np.int64(5)), 5),
-    "a wrapper": (lambda: TimeLimit(ClipAction(point_goal()), 5), 5),
-    "the shorter of two": (lambda: TimeLimit(point_goal(max_episode_steps=7), 5), 5),
+    "the shorter of two": (lambda: TimeLimit(ClipAction(point_goal(max_episode_steps=7)), 5), 5),
 }
 
 
 @pytest.mark.parametrize("how", LIMITED)
-def test_wheels_stop_with_the_last_step(how: str) -> None:
+def test_time_limit_stops_the_wheels_with_the_last_step(how: str) -> None:
     make_env, limit = LIMITED[how]
     env = make_env()
     for _ in range(2):
         env.reset(seed=0)
         for step in range(limit):
-            assert any(inner(env).robot.safety.sent) == (step > 0)
+            assert any(env.unwrapped.robot.safety.sent) == (step > 0)
             *_, terminated, truncated, _ = env.step(np.array([0.0, 0.5], np.float32))
             assert (terminated, truncated) == (False, step == limit - 1)
-        assert inner(env).robot.safety.sent == (0.0, 0.0)
+        assert env.unwrapped.robot.safety.sent == (0.0, 0.0)
         for _ in range(2):
             with pytest.raises(ConfigError, match=r"after the end .* reset\(\)"):
                 env.step(np.array([1.0, 0.0], np.float32))
-            assert inner(env).robot.safety.sent == (0.0, 0.0)
+            assert env.unwrapped.robot.safety.sent == (0.0, 0.0)
     env.close()
 
 
-@pytest.mark.parametrize("limit", [None, -1, np.int64(-1)])
-def test_no_limit_is_none(limit: Any) -> None:
-    for env in (point_goal(max_episode_steps=limit), make_planar(max_episode_steps=-1)):
+def test_time_limit_may_be_none() -> None:
+    for env in (point_goal(max_episode_steps=None), make_planar(max_episode_steps=-1)):
         env.reset(seed=0)
         ends = [env.step(np.zeros(2, np.float32))[2:4] for _ in range(210)]
         assert set(ends) == {(False, False)}
         env.close()
 
 
-@pytest.mark.parametrize("limit", [0, -2, 2.5, "5", 10**400])
-def test_another_limit_is_refused(limit: Any) -> None:
+@pytest.mark.parametrize("limit", [0, "5", 10**400])
+def test_time_limit_that_is_wrong_is_refused(limit: Any) -> None:
     with pytest.raises(ConfigError, match="max_episode_steps"):
         point_goal(max_episode_steps=limit)
 
 
-def test_an_env_without_references_stops_at_once() -> None:
+def test_env_without_references_stops_at_once() -> None:
     """It keeps no reference to its wrappers."""
     env = make_planar()
     env.reset(seed=0)
@@ -104,19 +102,16 @@ class Broken:
 
 
 UNREADABLE: dict[str, Any] = {
-    "tensor that requires grad": torch.tensor([1.0, 0.0], requires_grad=True),
     "NaN": [np.nan, 0.0],
     "three numbers": [0.5, 0.5, 0.5],
-    "None": None,
     "texts": ["0.5", "0.5"],
-    "huge": [10**400, 0],
     "raises ValueError": Broken(ValueError("no\nlines")),
     "raises KeyboardInterrupt": Broken(KeyboardInterrupt()),
 }
 
 
 @pytest.mark.parametrize("action", UNREADABLE)
-def test_an_action_that_cannot_be_read_stops_the_wheels(action: str, make: Make) -> None:
+def test_action_that_cannot_be_read_stops_the_wheels(action: str, make: Any) -> None:
     env = make()
     env.reset(seed=0)
     env.step([1.0, 0.0])
@@ -126,7 +121,7 @@ def test_an_action_that_cannot_be_read_stops_the_wheels(action: str, make: Make)
         assert str(caught.value).startswith("action = ")
         assert ": must be two finite numbers" in str(caught.value)
         assert "\n" not in str(caught.value)
-    assert inner(env).robot.safety.sent == (0.0, 0.0)
+    assert env.unwrapped.robot.safety.sent == (0.0, 0.0)
 
 
 def to_the_limit(env: Env) -> None:
@@ -149,8 +144,8 @@ def not_a_number(env: Env) -> None:
 
 @pytest.mark.usefixtures("deadline")
 @pytest.mark.parametrize("end", [to_the_limit, beyond_the_end, not_a_number])
-def test_the_last_command_on_the_wire_is_zero(
-    end: Callable[[Env], None], emulator: Emulated, config: RobotConfig, make: Make
+def test_step_at_the_end_sends_zero(
+    end: Callable[[Env], None], emulator: Emulated, config: RobotConfig, make: Any
 ) -> None:
     """And at once: neither a watchdog nor the board would stop these wheels."""
     env = make(
@@ -162,4 +157,4 @@ def test_the_last_command_on_the_wire_is_zero(
     env.reset(seed=0, options={"goal": (0.4, 0.0)})
     end(env)
     wait_until(emulator.is_stopped, "zeros as the last command")
-    assert inner(env).robot.active
+    assert env.unwrapped.robot.active

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from env_tools import IDS, LINKS, POINT_GOAL, SEEING, Make, inner
 from gymnasium.envs.registration import EnvSpec
 from mover_tools import HALL
 
@@ -17,16 +16,17 @@ from acsar_gym import World
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks.state import CrowdInfo
-from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds import Region, cache
 from acsar_gym.worlds.world import to_world
 
+POINT_GOAL = "acsar_gym/PointGoal-v0"
+OBSTACLE_GOAL = "acsar_gym/ObstacleGoal-v1"
 BARN = Path(__file__).parents[3] / "shared" / "barn"
 PATH_FOLLOW = "acsar_gym/PathFollow-v0"
 
 
-def test_options_of_a_reset_choose_world_goal_and_path(make: Make) -> None:
-    _, info = make(SEEING[0]).reset(options={"world": 3, "goal": (1.0, 0.5)})
+def test_reset_options_choose_world_goal_and_path(make: Any) -> None:
+    _, info = make(OBSTACLE_GOAL).reset(options={"world": 3, "goal": (1.0, 0.5)})
     assert info["world"] == 3.0
     assert info["goal_distance"] == pytest.approx(math.hypot(1.0, 0.5))
     env = make(PATH_FOLLOW)
@@ -36,41 +36,20 @@ def test_options_of_a_reset_choose_world_goal_and_path(make: Make) -> None:
         env.reset(options={"paths": 1})
 
 
-@pytest.mark.parametrize(
-    ("env_id", "options"),
-    [
-        (SEEING[0], {"world": 3, "difficulty": (0.0, 1.0)}),
-        (PATH_FOLLOW, {"path": [(0, 0), (1, 0)], "difficulty": (0.0, 1.0)}),
-    ],
-)
-def test_options_of_a_reset_that_contradict_each_other_are_refused(
-    env_id: str, options: dict[str, Any], make: Make
-) -> None:
-    env = make(env_id)
-    message = " and ".join(map(repr, options)) + " contradict each other"
-    with pytest.raises(ConfigError, match=message) as caught:
-        env.reset(options=options)
-    assert "\n" not in str(caught.value)
-    env.reset(options=options | {"difficulty": None})
-
-
-def test_barns_rules(make: Make) -> None:
-    env = make("acsar_gym/Barn-v1")
-    assert env.spec is not None
-    assert env.spec.max_episode_steps == 1000
-    _, info = env.reset(seed=0)
-    assert info["goal_distance"] == pytest.approx(10.0)
-    assert inner(env).task.goal_tolerance == 1.0
-    assert info["barn_score"] == 0.0
+def test_reset_options_that_contradict_each_other_are_refused(make: Any) -> None:
+    env = make(OBSTACLE_GOAL)
+    with pytest.raises(ConfigError, match="'world' and 'difficulty' contradict each other"):
+        env.reset(options={"world": 3, "difficulty": (0.0, 1.0)})
+    env.reset(options={"world": 3, "difficulty": None})
 
 
 @pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
-def test_barn_takes_a_folder_of_published_worlds(make: Make) -> None:
+def test_worlds_may_be_a_folder_of_published_worlds(make: Any) -> None:
     env = make("acsar_gym/Barn-v1", worlds=BARN)
     lengths = []
     for number in range(5):
         env.reset(options={"world": number})
-        lengths.append(inner(env).episode.assignment.length)
+        lengths.append(env.unwrapped.episode.assignment.length)
     assert sorted(lengths) == pytest.approx([10.029, 10.738, 10.758, 12.312, 13.446], abs=0.01)
 
 
@@ -79,30 +58,30 @@ HALL_SDF = """<sdf version='1.9'><world name='w'><model name='m'><pose>3 0 0.4 0
 </cylinder></geometry></collision></link></model></world></sdf>"""
 
 
-def test_a_file_is_passed_with_what_it_does_not_contain(tmp_path: Path, make: Make) -> None:
+def test_worlds_file_is_passed_with_what_it_does_not_contain(tmp_path: Path, make: Any) -> None:
     path = tmp_path / "hall.sdf"
     path.write_text(HALL_SDF, encoding="utf-8")
     with pytest.raises(WorldError, match="has no start and no goal"):
-        make(SEEING[0], worlds=path)
+        make(OBSTACLE_GOAL, worlds=path)
     with pytest.raises(ConfigError, match=r"unknown field 'worlds\.gaol'; did you mean 'goal'"):
-        make(SEEING[0], worlds={"path": path, "gaol": (1.0, 2.0)})
+        make(OBSTACLE_GOAL, worlds={"path": path, "gaol": (1.0, 2.0)})
 
-    env = make(SEEING[0], worlds={"path": path, "start": (1.0, 2.0, 0.5), "goal": [5.0, 2.0]})
+    env = make(OBSTACLE_GOAL, worlds={"path": path, "start": (1.0, 2.0, 0.5), "goal": [5.0, 2.0]})
     _, info = env.reset(seed=0)
     assert info["goal_distance"] == pytest.approx(4.0)
-    assert inner(env).episode.assignment.start == (1.0, 2.0, 0.5)
-    again = gymnasium.make(EnvSpec.from_json(cast("EnvSpec", env.spec).to_json()))
-    for pool in (inner(env).pool, inner(again).pool):
-        assert pool is not None
-        assert pool.sets[0].generator == str(path)
+    assert env.unwrapped.episode.assignment.start == (1.0, 2.0, 0.5)
+    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.pool.sets[0].generator == str(path)
     again.close()
 
 
-@pytest.mark.parametrize("env_id", [env_id for env_id in IDS if env_id != POINT_GOAL])
-def test_ids_train_in_the_training_split(env_id: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = gymnasium.make(env_id, link="planar")
-    pool = inner(env).pool
-    assert pool is not None
+def test_worlds_of_an_id_are_the_training_split(
+    env_id: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if env_id == POINT_GOAL:
+        return
+    env: Any = gymnasium.make(env_id, link="planar")
+    pool = env.unwrapped.pool
     assert (pool.split, pool.numbers) == ("train", range(1000, 1400))
     _, info = env.reset(seed=0)
     assert 1000 <= info["world"] < 1400
@@ -110,10 +89,8 @@ def test_ids_train_in_the_training_split(env_id: str, monkeypatch: pytest.Monkey
 
     world = pool[1000]  # for all numbers: 400 worlds that move take a minute
     monkeypatch.setattr(cache, "cached_world", lambda *_: world)
-    batch = gymnasium.make_vec(env_id, 1, vectorization_mode="vector_entry_point")
-    pool = cast("RobotVectorEnv", batch.unwrapped).pool
-    assert pool is not None
-    assert pool.numbers == range(1000, 1400)
+    batch: Any = gymnasium.make_vec(env_id, 1, vectorization_mode="vector_entry_point")
+    assert batch.unwrapped.pool.numbers == range(1000, 1400)
     batch.close()
 
 
@@ -128,10 +105,9 @@ AHEAD = np.array([1.0, 0.0], np.float32)
 QUIET = {"lidar": {"noise": 0.0}}
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_info_is_in_the_odometry_frame(link: str, make: Make) -> None:
-    env = make(SEEING[0], link, worlds=PILLAR, robot=QUIET)
-    robot = inner(env).robot
+def test_info_is_in_the_odometry_frame(link: str, make: Any) -> None:
+    env = make(OBSTACLE_GOAL, link, worlds=PILLAR, robot=QUIET)
+    robot = env.unwrapped.robot
     _, info = env.reset(seed=0)
     assert (info["true_x"], info["true_y"], info["true_theta"]) == pytest.approx((0, 0, 0))
     assert info["true_goal_distance"] == pytest.approx(math.hypot(3.0, 1.0))
@@ -148,10 +124,9 @@ def test_info_is_in_the_odometry_frame(link: str, make: Make) -> None:
     assert ahead == pytest.approx(1.4 - pose[0] - robot.config.lidar_x_offset, abs=0.02)
 
 
-@pytest.mark.parametrize("link", LINKS)
-def test_a_collision_ends_the_episode_and_leaves_no_trace(link: str, make: Make) -> None:
+def test_collision_ends_the_episode_and_leaves_no_trace(link: str, make: Any) -> None:
     """PyBullet keeps what doesn't move as long as the world is the same."""
-    env = make(SEEING[0], link, worlds=PILLAR, robot=QUIET)
+    env = make(OBSTACLE_GOAL, link, worlds=PILLAR, robot=QUIET)
     episodes = []
     for _ in range(2):
         episode = [env.reset(seed=0)[0].tobytes()]
@@ -162,22 +137,22 @@ def test_a_collision_ends_the_episode_and_leaves_no_trace(link: str, make: Make)
         episodes.append(episode)
         assert float(reward) < -4.0
         assert (info["true_contact"], info["is_success"]) == (1.0, 0.0)
-        reach = inner(env).robot.config.body.length / 2.0
+        reach = env.unwrapped.robot.config.body.length / 2.0
         assert info["true_x"] == pytest.approx(1.4 - reach, abs=0.06)
     assert episodes[0] == episodes[1]
 
 
-def test_a_reset_chooses_a_world_that_moves_or_stands(make: Make) -> None:
-    moving = make(SEEING[0], worlds=HALL)
+def test_reset_chooses_a_world_that_moves_or_stands(make: Any) -> None:
+    moving = make(OBSTACLE_GOAL, worlds=HALL)
     _, info = moving.reset(options={"world": World()})
     assert [info[key] for key in CrowdInfo._fields] == [100.0, 10.0, 0.0, 0.0]
     _, info = moving.reset()
     assert info["closest_person"] < 3.0
 
-    standing = make(SEEING[0])
+    standing = make(OBSTACLE_GOAL)
     for world, has_crowd in ((HALL, True), (None, False)):
         _, info = standing.reset(options={"world": world})
-        truth = inner(standing).robot.link.truth
+        truth = standing.unwrapped.robot.link.truth
         assert truth is not None
         assert (truth.crowd is not None) == has_crowd
         assert not set(CrowdInfo._fields) & info.keys()

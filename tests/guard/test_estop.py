@@ -58,7 +58,7 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("command", ["drive --linear 0.2 --link", "run 3 0 --yes --link"])
-def test_the_command_stops_a_robot_that_another_process_drives(
+def test_estop_stops_a_robot_of_another_process(
     command: str, emulator: Emulated, robot_file: RobotFile
 ) -> None:
     words = (*command.split(), emulator.device, "--robot", str(robot_file()))
@@ -73,14 +73,14 @@ def test_the_command_stops_a_robot_that_another_process_drives(
     wait_until(emulator.is_stopped, "zero as the newest command")
 
 
-def test_the_command_without_a_robot() -> None:
+def test_estop_without_a_robot() -> None:
     result = run("estop")
     assert result.returncode == 1
     assert result.stdout.startswith("no robot of yours is being driven")
     assert run("estop", "--list").returncode == 2
 
 
-def test_the_robots_of_a_process_share_a_socket_that_only_its_owner_can_use(folder: Path) -> None:
+def test_socket_is_shared_and_only_its_owner_can_use_it(folder: Path) -> None:
     """Simulated robots have no socket."""
     with Robot(open_link("planar", ACSAR), ACSAR):
         assert not folder.exists()
@@ -93,7 +93,7 @@ def test_the_robots_of_a_process_share_a_socket_that_only_its_owner_can_use(fold
         assert not list(folder.iterdir())
 
 
-def test_the_socket_of_a_dead_process_is_removed() -> None:
+def test_socket_of_a_dead_process_is_removed() -> None:
     path = estop.make_folder() / "99999999-a1"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as dead:
         dead.bind(str(path))
@@ -115,14 +115,14 @@ listener.confirm()
 """
 
 
-def test_all_processes_are_stopped() -> None:
+def test_estop_stops_all_processes() -> None:
     with program(LISTENING) as first, program(LISTENING) as second:
         assert first_line(first) == first_line(second) == "listens"
         processes = sorted([first.pid, second.pid])
         assert estop.stop_all() == [Answer(process, b"stopped") for process in processes]
 
 
-def test_a_process_that_does_not_read_the_request_is_reported(
+def test_estop_reports_a_process_that_does_not_read_the_request(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.05)
@@ -134,7 +134,7 @@ def test_a_process_that_does_not_read_the_request_is_reported(
     listener.close()
 
 
-def test_robots_that_threads_drive_all_stop(folder: Path) -> None:
+def test_estop_stops_robots_of_threads(folder: Path) -> None:
     over = threading.Event()
     robots = [Robot(LikeABoard(open_link("planar", ACSAR)), ACSAR) for _ in range(4)]
 
@@ -154,7 +154,7 @@ def test_robots_that_threads_drive_all_stop(folder: Path) -> None:
     assert not list(folder.iterdir())
 
 
-def test_the_answer_waits_for_every_connected_robot() -> None:
+def test_estop_answer_waits_for_every_connected_robot() -> None:
     first = StopListener()
     second = StopListener()
     first.connect()
@@ -173,7 +173,7 @@ def test_the_answer_waits_for_every_connected_robot() -> None:
     second.close()
 
 
-def test_a_stop_that_was_not_read_holds_after_the_robot_is_closed(folder: Path) -> None:
+def test_estop_that_was_not_read_holds_after_the_robot_is_closed(folder: Path) -> None:
     listener = StopListener()
     (path,) = folder.iterdir()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asker:
@@ -187,7 +187,7 @@ def test_a_stop_that_was_not_read_holds_after_the_robot_is_closed(folder: Path) 
     listener.close()
 
 
-def test_a_forked_child_is_held_and_leaves_the_socket_alone(folder: Path) -> None:
+def test_estop_holds_a_forked_child(folder: Path) -> None:
     listener = StopListener()
     estop.hold_process()
     with warnings.catch_warnings():
@@ -225,7 +225,7 @@ def count_drives(data: bytes) -> int:
 
 
 @pytest.mark.parametrize("is_plugged", [True, False])
-def test_a_stop_holds_until_a_person_releases_it(
+def test_estop_holds_until_a_person_releases_it(
     is_plugged: bool, start_emulator: StartEmulator, tmp_path: Path
 ) -> None:
     """Also a stop that comes while the cable is out, when it is in again."""
@@ -252,7 +252,7 @@ def test_a_stop_holds_until_a_person_releases_it(
         wait_until(emulator.is_driven, "a command that turns the wheels")
 
 
-def test_a_stop_by_the_program_itself_is_released_by_a_call() -> None:
+def test_release_of_a_stop_by_the_program() -> None:
     robot = Robot(LikeABoard(open_link("planar", ACSAR)), ACSAR)
     robot.activate()
     robot.estop()
@@ -273,7 +273,7 @@ def make_link(path: Path) -> None:
 
 
 @pytest.mark.parametrize("make", [make_public, make_link])
-def test_a_folder_that_cannot_be_trusted_is_reported(
+def test_folder_that_cannot_be_trusted_is_reported(
     make: Callable[[Path], None], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """By a warning at activation, by the doctor, and by the command."""

@@ -32,7 +32,9 @@ def assert_stopped(emulator: Emulated) -> None:
         ("sys.exit(7)", 7, ""),
     ],
 )
-def test_ends_of_a_program(end: str, status: int, message: str, emulator: Emulated) -> None:
+def test_shutdown_at_the_end_of_a_program(
+    end: str, status: int, message: str, emulator: Emulated
+) -> None:
     with program(DRIVER + DRIVE.format(ticks=30, end=end), emulator.device) as process:
         returned, error = ended(process)
     assert returned == status, error
@@ -115,7 +117,7 @@ while True:
 
 
 @pytest.mark.parametrize("trials", [30, pytest.param(2000, marks=pytest.mark.slow)])
-def test_no_ctrl_c_is_lost(trials: int, emulator: Emulated) -> None:
+def test_ctrl_c_is_never_lost(trials: int, emulator: Emulated) -> None:
     with program(DRIVER + INTERRUPTED_OFTEN, emulator.device) as process:
         for _ in range(trials):
             assert first_line(process) == "drives"
@@ -142,7 +144,7 @@ drive(30)
 """
 
 
-def test_after_ctrl_c_the_main_thread_can_drive_again(emulator: Emulated) -> None:
+def test_ctrl_c_and_the_main_thread_drives_again(emulator: Emulated) -> None:
     """As no link was closed, the exception may have been swallowed: it is raised once more."""
     code = "from acsar_gym.worlds import Scene" + STARTING_AGAIN
     with program(DRIVER + code, emulator.device) as process:
@@ -190,7 +192,7 @@ while robot.odometry.pose[0] < 0.02:
 """
 
 
-def test_after_ctrl_c_a_thread_is_refused_until_the_main_thread_resets(emulator: Emulated) -> None:
+def test_ctrl_c_refuses_a_thread_until_the_main_thread_resets(emulator: Emulated) -> None:
     code = """
 try:
     signal.raise_signal(signal.SIGINT)
@@ -225,7 +227,7 @@ print(errors, activation_errors, no_errors, sep="|", flush=True)
     ],
     ids=["exception", "SIGTERM", "Ctrl-C in asyncio", "exception with an executor"],
 )
-def test_the_end_of_the_main_thread_stops_another_thread(
+def test_shutdown_of_the_main_thread_stops_another_thread(
     end: str, status: int, emulator: Emulated
 ) -> None:
     with program(DRIVER + THREAD + end, emulator.device) as process:
@@ -253,7 +255,7 @@ drive(30)
 @pytest.mark.parametrize(
     "end", ["sys.exit()", "os._exit(0)", "os.kill(os.getpid(), signal.SIGTERM)"]
 )
-def test_a_forked_child_sends_nothing(end: str, emulator: Emulated) -> None:
+def test_forked_child_sends_nothing(end: str, emulator: Emulated) -> None:
     with program(DRIVER + FORK.format(end=end), emulator.device) as process:
         assert ended(process) == (0, "")
     assert_stopped(emulator)

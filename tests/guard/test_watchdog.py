@@ -53,7 +53,7 @@ def check(zeros: list[float], page: memoryview[float]) -> Check:
     return ProgramWatch(page, WATCH_TIMEOUT, lambda: zeros.append(0.0)).check
 
 
-def test_a_gap_in_which_the_watchdog_was_suspended_trips(
+def test_watchdog_trips_after_a_gap_in_which_it_was_suspended(
     check: Check, zeros: list[float], page: memoryview[float]
 ) -> None:
     """As when a container is paused, or the computer's lid is closed."""
@@ -67,7 +67,7 @@ def test_a_gap_in_which_the_watchdog_was_suspended_trips(
     assert page[TRIPPED], "until the reset"
 
 
-def test_zeros_are_repeated_only_while_the_program_sends_nothing(
+def test_watchdog_repeats_zeros_while_the_program_sends_nothing(
     check: Check, zeros: list[float], page: memoryview[float]
 ) -> None:
     check(100.0)
@@ -113,7 +113,7 @@ def read_until_quiet(descriptor: int) -> bytes:
     return data
 
 
-def test_it_trips_commands_zero_for_a_second_and_can_be_armed_again(
+def test_watchdog_trips_commands_zero_and_can_be_armed_again(
     wire: tuple[int, int], dog: Watchdog
 ) -> None:
     for _ in range(2):
@@ -124,7 +124,7 @@ def test_it_trips_commands_zero_for_a_second_and_can_be_armed_again(
         dog.rearm()
 
 
-def test_nothing_drives_with_a_watchdog_that_has_not_run_for_long(
+def test_watchdog_that_has_not_run_for_long_lets_nothing_drive(
     dog: Watchdog, page: memoryview[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A machine that stalled has held up the program as well, and doesn't count."""
@@ -146,7 +146,7 @@ def test_nothing_drives_with_a_watchdog_that_has_not_run_for_long(
     assert not dog.is_alive, "it is replaced at the reset"
 
 
-def test_a_gap_that_the_program_finds_first_trips(
+def test_watchdog_gap_that_the_program_finds_first_trips(
     wire: tuple[int, int], dog: Watchdog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As when both were suspended, and the program goes on before the watchdog."""
@@ -161,7 +161,7 @@ def test_a_gap_that_the_program_finds_first_trips(
     assert read_until_quiet(wire[0]) == ZEROS * HANG_ZEROS
 
 
-def test_it_makes_way_if_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:
+def test_watchdog_makes_way_if_the_port_is_stuck(wire: tuple[int, int], dog: Watchdog) -> None:
     """As when the board takes no bytes: its zeros are the first that the board gets."""
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -184,7 +184,7 @@ os._exit(1)
 """
 
 
-def test_after_the_program_s_death_it_commands_zero_and_releases_the_port(
+def test_watchdog_commands_zero_after_the_program_died(
     wire: tuple[int, int],
 ) -> None:
     with program(STARTING, os.ttyname(wire[1]), ZEROS.hex()) as process:

@@ -17,7 +17,7 @@ from acsar_gym.worlds import Scene
 CONFIG = RobotConfig.of(None)
 
 
-def test_simulated_lines_arrive_when_their_last_bit_does() -> None:
+def test_arrivals_in_simulation_are_when_their_last_bit_does() -> None:
     """A line takes 37 bytes of ten bits, after the firmware's processing time."""
     link = open_link("planar", CONFIG)
     link.open()
@@ -31,7 +31,7 @@ def test_simulated_lines_arrive_when_their_last_bit_does() -> None:
     link.close()
 
 
-def test_recording_of_a_simulation_has_the_stamps_of_arrival(tmp_path: Path) -> None:
+def test_arrivals_of_a_simulation_are_recorded(tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
     with Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path)) as robot:
         for _ in range(50):
@@ -47,7 +47,7 @@ def test_recording_of_a_simulation_has_the_stamps_of_arrival(tmp_path: Path) -> 
     assert sent[:3].tolist() == [0.0, 0.01, 0.02]
 
 
-def test_real_drive_is_recorded_with_its_times_and_replays(
+def test_arrivals_of_a_real_drive_are_recorded_and_replays(
     shared_device: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "tape.mcap"

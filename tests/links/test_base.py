@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import logging
-import math
 from pathlib import Path
 
 import pytest
 
-from acsar_gym import Link, Robot, RobotConfig, open_link
+from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import SafetyWarning
 from acsar_gym.links.base import LinkWrapper
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
-
-
-def test_defaults_are_those_of_a_link_that_can_nothing_in_addition() -> None:
-    link = Link()
-    assert (link.is_real, link.stamped, link.metered, link.commands_sides) == (False,) * 4
-    assert (link.lateness, link.truth, link.camera, link.scans, link.ros) == (None,) * 5
-    assert (link.device, link.unwatched, link.arrivals) == ("", "", ())
-    assert math.isnan(link.work)
 
 
 def test_wrapper_has_each_ability_of_its_link() -> None:
@@ -50,7 +41,7 @@ def test_links_know_whether_their_wheels_are_real(url: str, is_real: bool) -> No
 def test_replay_of_a_real_drive_is_not_real(
     shared_device: str, config: RobotConfig, tmp_path: Path
 ) -> None:
-    """Nobody has to stop it, and it has no watchdog whose absence is worth a warning."""
+    """No emergency stop holds it, and no warning reports that a watchdog is missing."""
     config = config.with_(firmware={"command_timeout": None}, watchdog_timeout=60.0)
     tape = tmp_path / "tape.mcap"
     robot = Robot(open_link(shared_device, config), config, recorder=Recorder(tape))

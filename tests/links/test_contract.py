@@ -52,7 +52,7 @@ every_live_link = pytest.mark.parametrize("make_link", LIVE, indirect=True)
 
 
 def answers(link: Link, command: bytes, expected: Callable[[Reading], bool]) -> bool:
-    """Whether the expected line comes while a command is held; every line is a valid one."""
+    """Whether the expected line comes while a command is held. Every line is a valid one."""
     decoder = Decoder()
     for _ in range(PATIENCE):
         link.write(command)
@@ -72,7 +72,7 @@ def turns(reading: Reading) -> bool:
 
 
 @every_link
-def test_valid_lines_come_back_and_commands_turn_the_wheels(make_link: MakeLink) -> None:
+def test_link_sends_valid_lines_and_commands_turn_the_wheels(make_link: MakeLink) -> None:
     link = make_link()
     link.open()
     link.reset(Scene())
@@ -82,9 +82,11 @@ def test_valid_lines_come_back_and_commands_turn_the_wheels(make_link: MakeLink)
 
 
 @every_live_link
-def test_reset_starts_at_rest_where_the_scene_is(make_link: MakeLink, config: RobotConfig) -> None:
+def test_link_reset_starts_at_rest_where_the_scene_is(
+    make_link: MakeLink, config: RobotConfig
+) -> None:
     with Robot(make_link(), config) as robot:
-        for start in (0.0, 0.0, 0.0), (1.0, -2.0, 0.5):
+        for start in ((0.0, 0.0, 0.0), (1.0, -2.0, 0.5)):
             robot.reset(Scene(start=start))
             assert robot.odometry.pose == (0.0, 0.0, 0.0)
             assert max(map(abs, robot.speeds)) < 0.1
@@ -98,7 +100,7 @@ def test_reset_starts_at_rest_where_the_scene_is(make_link: MakeLink, config: Ro
 
 
 @every_link
-def test_clock_follows_the_periods_and_never_runs_back(make_link: MakeLink) -> None:
+def test_link_clock_follows_the_periods_and_never_runs_back(make_link: MakeLink) -> None:
     link = make_link()
     link.open()
     link.reset(Scene())
@@ -111,7 +113,7 @@ def test_clock_follows_the_periods_and_never_runs_back(make_link: MakeLink) -> N
         assert link.lateness is None or link.lateness >= 0.0
     link.close()
 
-    steps = [after - before for before, after in itertools.pairwise(stamps)]
+    steps = [end - start for start, end in itertools.pairwise(stamps)]
     assert min(steps) >= 0.0
     assert stamps[-1] - stamps[0] >= 57 * PERIOD
     median = statistics.median(steps)
@@ -120,7 +122,7 @@ def test_clock_follows_the_periods_and_never_runs_back(make_link: MakeLink) -> N
 
 
 @every_link
-def test_opening_and_closing_twice_are_once(make_link: MakeLink) -> None:
+def test_link_opened_and_closed_twice(make_link: MakeLink) -> None:
     with no_leak():
         link = make_link()
         with pytest.raises(LinkError):
@@ -140,19 +142,9 @@ def test_opening_and_closing_twice_are_once(make_link: MakeLink) -> None:
             link.close()
 
 
-@pytest.mark.parametrize("name", ["planar", "bullet", "mujoco"])
-def test_bodies_with_an_engine_have_a_camera(name: str) -> None:
-    link = open_link(name)
-    link.open()
-    link.reset(Scene())
-    assert (link.camera is None) == (name == "planar")
-    assert link.camera is None or link.camera.image(4, 3).shape == (3, 4, 3)
-    link.close()
-
-
 @every_link
 @pytest.mark.parametrize("use", ["write", "advance"])
-def test_using_a_closed_link_is_an_error(make_link: MakeLink, use: str) -> None:
+def test_link_used_while_closed_is_an_error(make_link: MakeLink, use: str) -> None:
     link = make_link()
     link.open()
     link.reset(Scene())

@@ -28,13 +28,13 @@ def refusal(*chunks: bytes) -> BoardSilentError:
     [
         (b"\xf1\x80\x02\xff", r"'\xf1\x80\x02\xff'"),
         (b"left 0.50 right 0.51\r\n", "'left 0.50 right 0.51'"),
-        (b"\x1b[31m\n", r"'\x1b[31m'"),
         (b"z" * 500, "'" + "z" * 40 + "'..."),
-        (b"a+12.50,b-08.75,c+15.00,d-10.25\r\n", "'a+12.50,b-08.75,c+15.00,d-10.25'"),
     ],
-    ids=["noise", "another protocol", "control characters", "long", "signs"],
+    ids=["noise", "another protocol", "long"],
 )
-def test_garbled_board_is_quoted_with_what_was_expected(chunk: bytes, shown: str) -> None:
+def test_handshake_with_a_garbled_board_is_quoted_with_what_was_expected(
+    chunk: bytes, shown: str
+) -> None:
     error = refusal(chunk)
     assert type(error) is BoardGarbledError
     assert f"{shown}, expected ap12.50,bn08.75,cp15.00,dn10.25" in error.found
@@ -42,12 +42,12 @@ def test_garbled_board_is_quoted_with_what_was_expected(chunk: bytes, shown: str
     assert "'acsar-gym doctor /dev/ttyX'" in error.fix
 
 
-def test_silent_and_interrupted_boards_are_told_apart() -> None:
+def test_handshake_with_a_silent_or_interrupted_board() -> None:
     assert "no byte" in refusal().found
     assert "stopped in the middle of a line, 5 bytes" in refusal(b"ap00.").found
 
 
-def test_board_with_unpadded_numbers_is_accepted() -> None:
+def test_handshake_accepts_unpadded_numbers() -> None:
     arriving = iter([b"3,dp0.00,\r\n", b"ap0.00,bp5.23,cp105.20,dp0.00,\r\n"])
     wait_for_board(lambda: next(arriving), "/dev/ttyX", RobotConfig())
 
@@ -74,15 +74,13 @@ class Board:
     ("board", "echoes"),
     [
         (Board(), False),
-        (Board(feedback=b""), False),
-        (Board(ECHO_PROBE + b"\r\n"), True),
         (Board(b"> " + ECHO_PROBE + b",\n"), True),
         (Board(ZEROS, ECHO_PROBE + b"\r", ZEROS), True),
         (Board(ECHO_PROBE + b"\r\n", feedback=b""), True),
     ],
-    ids=["sound", "silent", "echo", "with a prompt", "among feedback", "nothing but echo"],
+    ids=["sound", "with a prompt", "among feedback", "nothing but echo"],
 )
-def test_board_that_echoes_is_refused(board: Board, echoes: bool) -> None:
+def test_echo_is_refused(board: Board, echoes: bool) -> None:
     refused = pytest.raises(LinkError, match=r"^/dev/ttyX: this board echoes: .*delete the echo")
     with refused if echoes else contextlib.nullcontext():
         check_no_echo(board.write, board.read, "/dev/ttyX", RobotConfig())
@@ -91,7 +89,7 @@ def test_board_that_echoes_is_refused(board: Board, echoes: bool) -> None:
 @pytest.mark.parametrize(
     "remainder", [b"ap05.00,bp0", b"ap05.0\x00\xf8", b"ap05\r\nready, v1.2\r\n"]
 )
-def test_board_that_is_reset_during_a_drive_is_no_bad_cable(remainder: bytes) -> None:
+def test_silence_of_a_board_that_was_reset(remainder: bytes) -> None:
     decoder = Decoder()
     decoder.feed(ZEROS * 10 + remainder)
     error = silence_error(0.5, decoder)

@@ -53,13 +53,9 @@ def by_id(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("is_relative", [False, True], ids=["absolute", "as udev makes them"])
-def test_lasting_name_is_the_link_to_the_adapter(
-    is_relative: bool, adapter: str, by_id: Path
-) -> None:
+def test_lasting_name_is_the_link_to_the_adapter(adapter: str, by_id: Path) -> None:
     (by_id / "usb-A").symlink_to("/dev/null")
-    target = os.path.relpath(adapter, by_id) if is_relative else adapter
-    (by_id / "usb-B").symlink_to(target)
+    (by_id / "usb-B").symlink_to(os.path.relpath(adapter, by_id))  # as udev makes them
     assert find_lasting_name(adapter) == str(by_id / "usb-B")
 
 
@@ -70,9 +66,7 @@ def test_serial_number_is_that_of_one_adapter(adapter: str, plugged: Plugged) ->
         locate_port("usb:0001")
 
 
-@pytest.mark.parametrize(
-    ("numbers", "listed"), [((), "none"), ((None,), "none"), (("B1", None, "C2"), "B1, C2")]
-)
+@pytest.mark.parametrize(("numbers", "listed"), [((None,), "none"), (("B1", None, "C2"), "B1, C2")])
 def test_missing_serial_number_lists_those_that_are_plugged_in(
     numbers: tuple[str | None, ...], listed: str, plugged: Plugged
 ) -> None:
@@ -89,6 +83,7 @@ def test_lost_device_is_found_under_its_lasting_name(
     plugged.append(PortInfo(old_device, "board", "A50285BI"))
     robot = Robot(open_link(old_device, config.with_(reconnect_timeout=TIMEOUT)), config)
     robot.activate()
+
     with os.fdopen(os.open(old_device, os.O_RDWR | os.O_NOCTTY), "rb", 0):  # it isn't used again
         emulator.pull()
         with pytest.raises(LinkLostError, match=old_device):
@@ -130,19 +125,11 @@ def test_port_that_the_watchdog_also_writes_to_is_not_lost() -> None:
     os.close(slave)
 
 
-@pytest.mark.parametrize("url", ["rfc2217://127.0.0.1:4000", "RFC2217://robot:4000", "loop://"])
-def test_url_that_no_watchdog_can_share_is_refused(url: str, config: RobotConfig) -> None:
-    robot = Robot(SerialLink(url, config), config)
+def test_port_that_is_not_serial_lists_the_ports(config: RobotConfig, adapter: str) -> None:
+    with pytest.raises(LinkError, match=f"^/dev/null: isn't a serial port: .*{adapter}"):
+        ports.open_port("/dev/null", config.baud_rate)
+
+
+def test_port_url_that_no_watchdog_can_share_is_refused(config: RobotConfig) -> None:
     with pytest.raises(ConfigError, match="socket://host:port"):
-        robot.activate()
-    assert not robot.active
-
-
-@pytest.mark.parametrize("name", ["/dev/null", "file"])
-def test_file_that_is_no_serial_port_lists_the_ports(
-    name: str, config: RobotConfig, adapter: str, tmp_path: Path
-) -> None:
-    (tmp_path / "file").touch()
-    device = str(tmp_path / name)  # /dev/null is absolute and stays
-    with pytest.raises(LinkError, match=f"^{device}: isn't a serial port: .*{adapter}"):
-        ports.open_port(device, config.baud_rate)
+        Robot(SerialLink("rfc2217://127.0.0.1:4000", config), config).activate()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from importlib.util import find_spec
 from types import SimpleNamespace
 
@@ -25,40 +24,35 @@ def make_link(url: str = "ros2") -> Ros2Link:
     return link
 
 
-def test_urls_name_a_real_robot() -> None:
+def test_ros2_urls_name_a_real_robot() -> None:
     assert is_device("ros2")
     assert is_device("ros2:/robot1")
     assert make_link("ros2:/robot1").device == "ros2:/robot1"
 
 
 @pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is installed")
-def test_without_ros_one_line_says_what_to_source() -> None:
+def test_ros2_that_is_missing_is_one_line() -> None:
     with pytest.raises(MissingRosError, match=r"^ROS 2 can't be used here .*setup\.bash") as raised:
         Robot(make_link()).activate()
     assert "\n" not in str(raised.value)
 
 
-def test_copies_are_closed_links_to_the_same_robot() -> None:
-    copied = copy.deepcopy(make_link("ros2:/robot1"))
-    assert copied.device == "ros2:/robot1"
-    assert copied.node is None
-
-
-@pytest.mark.parametrize("begin", [0.0, 0.0017, 0.005, 0.0099])
-def test_deadlines_come_to_lie_behind_the_feedback(begin: float) -> None:
+@pytest.mark.parametrize("begin", [0.0, 0.005, 0.0099])
+def test_ros2_deadlines_come_to_lie_behind_the_feedback(begin: float) -> None:
     link = make_link()
-    link._deadline, ticks = begin, 300
+    link._deadline = begin
+    ticks = 300
     for tick in range(ticks):
         arrived = tick * PERIOD
         if arrived > link._deadline:
             arrived -= PERIOD  # that of the tick before
         link._follow_phase(arrived - link._deadline, PERIOD)
         link._deadline += PERIOD
-    after = (link._deadline - ticks * PERIOD) % PERIOD
-    assert after == pytest.approx(SLACK, abs=1e-4)
+    phase = (link._deadline - ticks * PERIOD) % PERIOD
+    assert phase == pytest.approx(SLACK, abs=1e-4)
 
 
-def test_commands_are_told_apart_by_stamp_and_numbers() -> None:
+def test_ros2_commands_differ_by_stamp_and_numbers() -> None:
     def make_twist(x: float) -> SimpleNamespace:
         return SimpleNamespace(linear=SimpleNamespace(x=x), angular=SimpleNamespace(z=0.5))
 
@@ -94,7 +88,7 @@ class StampedLink(Link):
         return self._now
 
 
-def test_each_line_holds_from_the_stamp_before_it_to_its_own() -> None:
+def test_stamped_lines_hold_from_the_stamp_before_to_their_own() -> None:
     line = b"ap%09.6f,bp01.000000,cp01.000000,dp01.000000\r\n"
     link = StampedLink(
         [[(0.007, line % 1)], [], [(0.018, line % 2), (0.0285, line % 3)], [(0.0385, line % 4)]]

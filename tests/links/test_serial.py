@@ -44,7 +44,7 @@ def refusal(device: str, config: RobotConfig) -> LinkError:
     return caught.value
 
 
-def test_missing_device(config: RobotConfig) -> None:
+def test_serial_device_that_is_missing(config: RobotConfig) -> None:
     error = refusal(MISSING, config)
     assert type(error) is LinkError
     assert error.exit_code == 3
@@ -73,7 +73,7 @@ sys.exit(len(os.listdir("/proc/self/fd")) != before)
 """
 
 
-def test_no_permission_names_the_group() -> None:
+def test_serial_permission_error_names_the_group() -> None:
     with program(PERMISSION) as process:
         out, err = process.communicate(timeout=TIMEOUT)
     assert out.startswith("LinkError - /dev/pts/"), err
@@ -82,7 +82,7 @@ def test_no_permission_names_the_group() -> None:
     assert process.returncode == 0, "a descriptor was left open"
 
 
-def test_busy_with_another_robot_program(
+def test_serial_device_busy_with_another_robot_program(
     config: RobotConfig, shared_device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     code = DRIVER + "robot.activate(); print('ready', flush=True); drive(10**9)"
@@ -94,7 +94,7 @@ def test_busy_with_another_robot_program(
         assert robot.active
 
 
-def test_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> None:
+def test_serial_board_that_is_silent(config: RobotConfig, start_emulator: StartEmulator) -> None:
     silent = start_emulator("--silent")
     error = refusal(silent.device, config.with_(connect_timeout=0.3))
     assert type(error) is BoardSilentError
@@ -102,16 +102,14 @@ def test_silent_board(config: RobotConfig, start_emulator: StartEmulator) -> Non
     wait_until(lambda: set(silent.commands()) == {ZERO}, "nothing but zero commands")
 
 
-def test_wrong_baud_rate(config: RobotConfig, shared_device: str) -> None:
+def test_serial_baud_rate_that_is_wrong(config: RobotConfig, shared_device: str) -> None:
     error = refusal(shared_device, config.with_(baud_rate=57600, connect_timeout=2.0))
     assert type(error) is BoardGarbledError
     assert "57600" in error.found
     assert "115200" in error.fix
 
 
-def test_a_link_says_how_late_a_tick_ended_and_rushes_none(
-    config: RobotConfig, shared_device: str
-) -> None:
+def test_serial_lateness_of_a_tick(config: RobotConfig, shared_device: str) -> None:
     with Robot(open_link(shared_device, config), config) as robot:
         link = robot.link
         assert isinstance(link, SerialLink)
@@ -126,7 +124,7 @@ def test_a_link_says_how_late_a_tick_ended_and_rushes_none(
         assert link.lateness == 0.0
 
 
-def test_feedback_slower_than_the_tick_is_held_and_aged(
+def test_serial_feedback_slower_than_the_tick_is_held_and_aged(
     config: RobotConfig, start_emulator: StartEmulator, robot_file: RobotFile
 ) -> None:
     """A board that is frozen says nothing for as long as it takes, however fast it is otherwise."""
@@ -135,13 +133,16 @@ def test_feedback_slower_than_the_tick_is_held_and_aged(
         robot.drive(0.2, 0.0)
         while robot.feedback_age > 0.0:
             robot.drive(0.2, 0.0)
+
         slow.pause()
-        held, ages = 0, [0.0]
+        held = 0
+        ages = [0.0]
         while held <= 5:
-            before = robot.speeds
+            speeds = robot.speeds
             robot.drive(0.2, 0.0)
             ages.append(robot.feedback_age)
-            held = held + 1 if ages[-1] > ages[-2] and robot.speeds == before else 0
+            held = held + 1 if ages[-1] > ages[-2] and robot.speeds == speeds else 0
+
         slow.resume()
         while robot.feedback_age > 0.0:
             robot.drive(0.2, 0.0)

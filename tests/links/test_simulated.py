@@ -34,14 +34,14 @@ def link(request: pytest.FixtureRequest) -> Iterator[SimulatedLink]:
 def physics(**values: float) -> Physics:
     """A robot that differs from the configured one in these parameters."""
     ranges = {name: (value, value) for name, value in values.items()}
-    own = Randomizer(ranges, CONFIG, 0.1, simulated=True).draw(np.random.default_rng(0))
-    assert own is not None
-    return own
+    drawn = Randomizer(ranges, CONFIG, 0.1, simulated=True).draw(np.random.default_rng(0))
+    assert drawn is not None
+    return drawn
 
 
-def drive(link: SimulatedLink, own: Physics | None, seconds: float, speeds: Speeds) -> bytes:
+def drive(link: SimulatedLink, drawn: Physics | None, seconds: float, speeds: Speeds) -> bytes:
     """The feedback of a drive from rest."""
-    link.reset(Scene(physics=own))
+    link.reset(Scene(physics=drawn))
     answer = b""
     for _ in range(round(seconds / TICK)):
         link.write(encode(speeds))
@@ -54,7 +54,7 @@ def wheels(link: SimulatedLink) -> Speeds:
     return link.body.wheel_speeds
 
 
-def test_a_straight_drive_takes_at_least_its_kinetic_energy(link: SimulatedLink) -> None:
+def test_work_of_a_straight_drive_is_at_least_its_kinetic_energy(link: SimulatedLink) -> None:
     """Wheels that reach their speed with a lag slip a little, which costs the rest."""
     drive(link, None, 0.1, FORWARD)
     assert link.work == 0.0  # it is measured only where asked
@@ -67,9 +67,9 @@ def test_a_straight_drive_takes_at_least_its_kinetic_energy(link: SimulatedLink)
     assert link.work == 0.0
 
 
-def first_motion(link: SimulatedLink, own: Physics | None) -> int:
+def first_motion(link: SimulatedLink, drawn: Physics | None) -> int:
     """Ticks until the wheels turn."""
-    link.reset(Scene(physics=own))
+    link.reset(Scene(physics=drawn))
     for ticks in itertools.count(1):
         link.write(encode(FORWARD))
         link.advance(TICK)
@@ -82,42 +82,43 @@ def lines(answer: bytes) -> list[Any]:
     return [reading.speeds for reading in Decoder().feed(answer)]
 
 
-def test_a_motors_lag_delays_its_wheel(link: SimulatedLink) -> None:
+def test_motor_lag_delays_its_wheel(link: SimulatedLink) -> None:
     drive(link, physics(motor_lag=3.0)._replace(blend_a=1.0), 0.3, FORWARD)
     a, *slow = wheels(link)
     assert a > 1.1 * max(slow)
     assert min(slow) > 0.0
 
 
-def test_set_points_in_the_deadband_turn_nothing(link: SimulatedLink) -> None:
+def test_deadband_set_points_turn_nothing(link: SimulatedLink) -> None:
     drive(link, physics(deadband=0.4), 0.5, (0.5, 0.3, 0.5, 0.3))
     assert [speed > 0.2 for speed in wheels(link)] == [True, False, True, False]
 
 
-@pytest.mark.parametrize("latency", [0.01, 0.05])
-def test_latency_delays_commands_and_feedback(link: SimulatedLink, latency: float) -> None:
-    own = physics(latency=latency)
-    assert first_motion(link, own) == first_motion(link, None) + round(latency / TICK)
+def test_latency_delays_commands_and_feedback(link: SimulatedLink) -> None:
+    latency = 0.05
+    drawn = physics(latency=latency)
+    assert first_motion(link, drawn) == first_motion(link, None) + round(latency / TICK)
     ticks = round(latency / TICK)
-    late, prompt = lines(drive(link, own, 1.0, FORWARD)), lines(drive(link, None, 1.0, FORWARD))
+    late = lines(drive(link, drawn, 1.0, FORWARD))
+    prompt = lines(drive(link, None, 1.0, FORWARD))
     assert len(late) == len(prompt) - ticks
     assert late[ticks:] == prompt[: len(late) - ticks]
 
 
-def test_feedback_comes_at_the_rate_that_was_drawn(link: SimulatedLink) -> None:
+def test_feedback_rate_is_the_drawn_one(link: SimulatedLink) -> None:
     answer = drive(link, physics(feedback_rate=20.0), 2.0, FORWARD)
     assert abs(len(lines(answer)) - 40) <= 1
 
 
-def test_the_next_episode_is_configured_again(link: SimulatedLink) -> None:
+def test_physics_of_the_next_episode_is_configured_again(link: SimulatedLink) -> None:
     fresh = drive(link, None, 0.5, FORWARD), link.truth
-    own = physics(mass=2.0, friction=0.3, motor_gain=0.9, latency=0.03, feedback_rate=25.0)
-    assert (drive(link, own, 0.5, FORWARD), link.truth) != fresh
+    drawn = physics(mass=2.0, friction=0.3, motor_gain=0.9, latency=0.03, feedback_rate=25.0)
+    assert (drive(link, drawn, 0.5, FORWARD), link.truth) != fresh
     assert (drive(link, None, 0.5, FORWARD), link.truth) == fresh
 
 
 def test_movers_advance_once_a_control_period_however_time_is_cut(link: SimulatedLink) -> None:
-    """An emulated board lets a loop of 5 ms pass at a time; faults several ticks at once."""
+    """An emulated board lets a loop of 5 ms pass at a time, faults several ticks at once."""
     person = walk([[2.0, -1.0], [2.0, 1.0]], 1.0, reacts=True, sees_robot=False)
     walker = walk([[-3.0, 1.0], [3.0, 1.0]], 1.5)
     scene = Scene(world=World(movers=(person, walker)))
@@ -130,6 +131,7 @@ def test_movers_advance_once_a_control_period_however_time_is_cut(link: Simulate
         assert crowd is not None
         assert crowd.now == pytest.approx(1.0)
         places.append(crowd.states[:, :4].tolist())
+
     assert places[0] == places[1] == places[2]
     assert places[0][1][:2] == pytest.approx(walker.position(1.0))
     link.reset(Scene())

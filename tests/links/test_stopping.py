@@ -15,9 +15,7 @@ ACSAR = RobotConfig.preset("acsar")
 
 
 @pytest.mark.parametrize("kind", stopping.KINDS)
-def test_every_kind_of_fault_ends_in_a_zero_command(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stopping_ends_in_a_zero_command(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """`make stopping` reports how soon, on a machine with nothing else to do."""
     monkeypatch.setattr(stopping, "QUIET_TIME", 0.1)
     (stops,) = stopping.measure(1, [kind], ACSAR.with_(watchdog_timeout=HASTY))
@@ -25,7 +23,7 @@ def test_every_kind_of_fault_ends_in_a_zero_command(
     assert math.isfinite(stops.times[0])
 
 
-def test_without_a_watchdog_the_measurement_finds_no_zero(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopping_without_a_watchdog_finds_no_zero(monkeypatch: pytest.MonkeyPatch) -> None:
     """So the measurement can fail."""
     monkeypatch.setattr(stopping, "ZERO_TIMEOUT", 0.5)
     (kill,) = stopping.measure(1, ["kill"], ACSAR.with_(watchdog_timeout=None))

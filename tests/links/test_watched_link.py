@@ -48,13 +48,6 @@ def hasty(link: SerialLink) -> SerialLink:
     return link
 
 
-def test_robot_without_a_watchdog_drives(shared_device: str, config: RobotConfig) -> None:
-    config = config.with_(watchdog_timeout=None)
-    with Robot(open_link(shared_device, config), config) as robot:
-        assert not children()
-        robot.drive(0.2, 0.0)
-
-
 @pytest.mark.parametrize(
     ("platform", "timeout", "warning"),
     [
@@ -81,11 +74,10 @@ def test_first_reset_warns_if_nothing_stops_the_board(
         robot.close()
 
 
-@pytest.mark.parametrize("python", ["/bin/false", "/acsar-missing"])
 def test_link_does_not_open_if_the_watchdog_cannot_start(
-    python: str, shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+    shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "executable", python)
+    monkeypatch.setattr(sys, "executable", "/bin/false")
     link = SerialLink(shared_device, config)
     with no_leak(), pytest.raises(LinkError, match="watchdog can't be started") as caught:
         link.open()
@@ -93,7 +85,9 @@ def test_link_does_not_open_if_the_watchdog_cannot_start(
     assert not children()
 
 
-def test_closed_and_dropped_links_leave_no_process(shared_device: str, config: RobotConfig) -> None:
+def test_link_that_is_closed_or_dropped_leaves_no_process(
+    shared_device: str, config: RobotConfig
+) -> None:
     link = SerialLink(shared_device, config)
     with no_leak():
         for _ in range(5):
@@ -120,7 +114,7 @@ def test_watchdog_holds_only_the_port_and_ignores_the_terminal(link: SerialLink)
     assert dog.status() != psutil.STATUS_STOPPED
 
 
-def test_only_zeros_are_sent_between_a_trip_and_the_reset(hasty: SerialLink) -> None:
+def test_link_sends_only_zeros_between_a_trip_and_the_reset(hasty: SerialLink) -> None:
     start = time.monotonic()
     hasty.write(TURNING)
     wait_until(lambda: hasty.watchdog.has_tripped, "a trip")
@@ -139,7 +133,7 @@ def test_only_zeros_are_sent_between_a_trip_and_the_reset(hasty: SerialLink) -> 
 
 
 @pytest.mark.parametrize("stop", ["zero", "stop", "reset"])
-def test_reading_is_a_sign_of_life_and_standstill_needs_none(stop: str, link: SerialLink) -> None:
+def test_heartbeat_of_reading_and_standstill_needs_none(stop: str, link: SerialLink) -> None:
     link.write(TURNING)
     beat = link.watchdog.page[BEAT]
     assert beat > 0.0
@@ -157,7 +151,7 @@ def test_reading_is_a_sign_of_life_and_standstill_needs_none(stop: str, link: Se
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
-def test_dead_or_suspended_watchdog_stops_the_robot_and_is_replaced(
+def test_watchdog_that_is_dead_or_suspended_stops_the_robot_and_is_replaced(
     end: signal.Signals, hasty: SerialLink
 ) -> None:
     hasty.write(TURNING)
@@ -175,7 +169,7 @@ def test_dead_or_suspended_watchdog_stops_the_robot_and_is_replaced(
     hasty.write(TURNING)
 
 
-def test_command_of_another_thread_is_sent_before_the_zeros_or_not_at_all(
+def test_close_and_the_command_of_another_thread_is_sent_before_the_zeros_or_not_at_all(
     link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     written: list[bytes] = []
@@ -207,8 +201,8 @@ def test_command_of_another_thread_is_sent_before_the_zeros_or_not_at_all(
     assert set(written[newest:]) == {ZEROS}
 
 
-def test_no_thread_writes_while_the_link_is_held(link: SerialLink) -> None:
-    """As before Ctrl-Z suspends the program; the watchdog trips if that takes long."""
+def test_held_no_thread_writes_while_the_link_is_held(link: SerialLink) -> None:
+    """As before Ctrl-Z suspends the program. The watchdog trips if that takes long."""
     link.write(TURNING)
     beat = link.watchdog.page[BEAT]
     thread = threading.Thread(target=lambda: link.write(TURNING))
@@ -221,7 +215,7 @@ def test_no_thread_writes_while_the_link_is_held(link: SerialLink) -> None:
     assert link.watchdog.page[BEAT] > beat
 
 
-def test_program_behind_a_socket_is_watched(emulator: Emulated) -> None:
+def test_watchdog_behind_a_socket(emulator: Emulated) -> None:
     with program(BRIDGE, emulator.device) as bridge:
         url = f"socket://127.0.0.1:{first_line(bridge)}"
         with program(f"{DRIVER}robot.activate(); drive(10**9)", url) as process:

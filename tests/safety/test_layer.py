@@ -48,7 +48,7 @@ def robot(**fields: Any) -> tuple[Robot, Tapped]:
 
 
 @pytest.mark.parametrize(("linear", "angular"), [(-2.0, 0.0), (0.4, -7.0), (1e6, 1e6)])
-def test_no_twist_exceeds_the_full_speeds(linear: float, angular: float) -> None:
+def test_limits_of_the_full_speeds(linear: float, angular: float) -> None:
     driver, link = robot()
     driver.drive(linear, angular)
     assert driver.safety.reason is Reason.LIMITS
@@ -66,7 +66,7 @@ def test_no_twist_exceeds_the_full_speeds(linear: float, angular: float) -> None
         ({"linear_limits": {"min_velocity": 0.0}}, -3.0, 0.0),
     ],
 )
-def test_raw_wheel_speeds_are_bounded(fields: dict[str, Any], speed: float, sent: float) -> None:
+def test_bounded_wheel_speeds(fields: dict[str, Any], speed: float, sent: float) -> None:
     driver, link = robot(**fields)
     driver.tick((speed,) * 4)
     assert link.last == pytest.approx((sent,) * 4)
@@ -90,7 +90,7 @@ def test_acceleration_limits_ramp_commands_but_no_stop() -> None:
     assert link.last[0] == pytest.approx(6.2)  # ramps from the raw wheel speeds
 
 
-def test_the_geofence_stops_until_the_reset() -> None:
+def test_geofence_stops_until_the_reset() -> None:
     driver, link = robot(geofence={"max_x": 0.2})
     for _ in range(300):
         driver.drive(0.4, 0.0)
@@ -124,7 +124,7 @@ def test_stale_feedback_stops_until_it_is_fresh() -> None:
     assert link.last[0] == pytest.approx(8.0)
 
 
-def test_an_emergency_stop_is_latched() -> None:
+def test_emergency_stop_is_latched() -> None:
     driver, link = robot()
     driver.drive(0.4, 0.0)
     driver.estop()
@@ -144,7 +144,7 @@ def test_an_emergency_stop_is_latched() -> None:
 
 
 @pytest.mark.parametrize("link", ["planar", "bullet"])
-def test_info_has_what_was_sent_and_why(link: str) -> None:
+def test_sent_twist_and_reason_are_in_info(link: str) -> None:
     config = ACSAR.with_(linear_limits={"max_velocity": 0.2})
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link, robot=config)
     env.reset(seed=0)

@@ -1,4 +1,4 @@
-"""The safety rules as pure functions of one robot and one tick; limits as in ROS."""
+"""The safety rules as pure functions of one robot and one tick, with limits as in ROS."""
 
 from __future__ import annotations
 
@@ -27,13 +27,11 @@ DT = 0.01
         (float("nan"), 0.0, 0.0, (2, 2)),
     ],
 )
-def test_what_holds_a_robot(
-    x: float, age: float, latched: float, expected: tuple[int, int]
-) -> None:
+def test_find_holds(x: float, age: float, latched: float, expected: tuple[int, int]) -> None:
     assert rules.find_holds(SafetyMemory(latched), x, 0.0, age=age, rules=FENCED) == expected
 
 
-def test_a_stop_is_immediate_and_forgets_the_ramp() -> None:
+def test_limit_twist_stops_at_once_and_forgets_the_ramp() -> None:
     memory = SafetyMemory(linear=0.3, angular=0.2, past_linear=0.29, past_angular=0.19)
 
     def limit(linear: float, x: float, age: float) -> SafetyMemory:
@@ -69,15 +67,13 @@ def send(wanted: list[float], **limits: float) -> list[float]:
         ({"max_jerk": 100.0}, [1.0] * 5, [0.02, 0.06, 0.12, 0.2, 0.3]),
     ],
 )
-def test_limits_of_an_axis(
-    limits: dict[str, float], wanted: list[float], sent: list[float]
-) -> None:
+def test_limit_velocity(limits: dict[str, float], wanted: list[float], sent: list[float]) -> None:
     assert send(wanted, **limits) == pytest.approx(sent)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_speeding_up_and_braking_have_limits_of_both_directions(sign: float) -> None:
-    """As ROS 2 Jazzy: forward at 2, braking at 5; backward at 1, braking at 4, with any sign."""
+def test_limit_velocity_in_both_directions(sign: float) -> None:
+    """As ROS 2 Jazzy: forward at 2, braking at 5. Backward at 1, braking at 4, with any sign."""
     sent = send(
         [1.0] * 60 + [0.0] * 30 + [-1.0] * 120 + [0.0] * 40,
         max_acceleration=2.0,
@@ -102,6 +98,6 @@ def test_speeding_up_and_braking_have_limits_of_both_directions(sign: float) -> 
         ({"geofence": {"min_x": 1.0}}, "geofence"),
     ],
 )
-def test_bad_limits_are_an_error(fields: dict[str, Any], named: str) -> None:
+def test_limits_that_are_wrong_are_an_error(fields: dict[str, Any], named: str) -> None:
     with pytest.raises(ConfigError, match=named):
         RobotConfig(**fields)

@@ -1,6 +1,6 @@
 """Wheels that contradict their commands are found and named, and sound wheels never are.
 
-Most tests drive simulated robots that are real for the driver; `make wheel-check` drives more.
+Most tests drive simulated robots that are real for the driver. `make wheel-check` drives more.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ ZEROS_LIMIT = 1.0  # the same at 20 Hz and more if all wheels are at rest
 
 
 def board(kind: str, wheel: int = 0, rate: float = 100.0) -> FaultyBoard:
-    """A board with a fault; the driver doesn't know the rate of its feedback."""
+    """A board with a fault. The driver doesn't know the rate of its feedback."""
     link = open_link("planar", ACSAR.with_(firmware={"feedback_rate": rate}))
     return FaultyBoard(link, np.random.default_rng(wheel), make_fault(kind, wheel))
 
@@ -41,7 +41,7 @@ def board(kind: str, wheel: int = 0, rate: float = 100.0) -> FaultyBoard:
 def find_fault(
     link: Link, twist: tuple[float, float], config: RobotConfig = ACSAR
 ) -> tuple[float, WheelError]:
-    """Drive until the error; returns the time since the first command [s], and the error."""
+    """Drive until the error. Returns the time since the first command [s], and the error."""
     with Robot(link, config) as robot:
         start = link.now()
         with pytest.raises(WheelError) as caught:
@@ -53,7 +53,7 @@ def find_fault(
 
 @pytest.mark.parametrize("rate", LIMITS)
 @pytest.mark.parametrize("kind", FAULTS)
-def test_faults_are_found_in_time(kind: str, rate: float) -> None:
+def test_wheel_faults_are_found_in_time(kind: str, rate: float) -> None:
     limit = max(LIMITS[rate], ZEROS_LIMIT) if kind == "all zero" else LIMITS[rate]
     for wheel, twist in enumerate((LEFT, ARC)):
         duration, _ = find_fault(board(kind, wheel, rate), twist)
@@ -70,7 +70,7 @@ def test_faults_are_found_in_time(kind: str, rate: float) -> None:
         ("twice as fast", ARC, "{} turns too fast"),
     ],
 )
-def test_the_faulty_wheel_is_named(
+def test_wheel_with_a_fault_is_named(
     kind: str, twist: tuple[float, float], message: str, wheel: int
 ) -> None:
     _, error = find_fault(board(kind, wheel), twist)
@@ -79,13 +79,13 @@ def test_the_faulty_wheel_is_named(
     assert "'acsar-gym doctor DEVICE --spin'" in str(error)
 
 
-def test_swapped_sides_are_named() -> None:
+def test_wheel_sides_that_are_swapped_are_named() -> None:
     for twist in (LEFT, ARC, (0.5, -0.75)):
         _, error = find_fault(board("swapped sides"), twist)
         assert "answers front_" in str(error)
 
 
-def test_joints_in_ros_are_to_be_checked() -> None:
+def test_wheel_error_in_ros_names_the_joints() -> None:
     check = WheelCheck(ACSAR, "ros2:/fox")
     with pytest.raises(WheelError, match=r"check ros2\.joints in the robot's file"):
         for _ in range(1000):
@@ -93,7 +93,7 @@ def test_joints_in_ros_are_to_be_checked() -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1], ids=["as-wired", "as-mended"])
-def test_a_wheel_that_runs_away_on_the_board_is_stopped(sign: int) -> None:
+def test_wheel_that_runs_away_on_the_board_is_stopped(sign: int) -> None:
     """At any sign in the robot's file, and at a slow command."""
     link = LikeABoard(boards.board("runaway=a", robot=ACSAR))
     config = ACSAR.with_(wheels={"a": {"sign": sign}})
@@ -142,7 +142,7 @@ def random_commands(rng: np.random.Generator) -> Iterator[np.ndarray]:
 
 @pytest.mark.parametrize("minutes", [0.5, pytest.param(30.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROBOTS)
-def test_sound_robots_are_never_stopped(name: str, minutes: float) -> None:
+def test_wheel_check_never_stops_sound_robots(name: str, minutes: float) -> None:
     config, changes, rate = ROBOTS[name]
     hidden = config.with_(firmware={"feedback_rate": rate}).with_(**changes)
     link: Link = open_link("planar", hidden)
@@ -157,7 +157,7 @@ def test_sound_robots_are_never_stopped(name: str, minutes: float) -> None:
             robot.drive(twist[0] * config.max_linear, twist[1] * config.max_angular)
 
 
-def test_stops_and_pauses_are_no_fault() -> None:
+def test_wheel_check_of_stops_and_pauses() -> None:
     """An emergency stop, and a program that pauses until the board stops."""
     config = ACSAR.with_(firmware={"command_timeout": 0.1})
     link = LikeABoard(open_link("planar", config))
@@ -172,7 +172,7 @@ def test_stops_and_pauses_are_no_fault() -> None:
             robot.drive(*AHEAD)
 
 
-def test_the_check_can_be_switched_off_and_leaves_simulated_robots() -> None:
+def test_wheel_check_can_be_switched_off() -> None:
     """A batch has no such check, and the single env must do the same."""
     links: list[tuple[Link, bool]] = [
         (board("dead"), False),
@@ -184,7 +184,7 @@ def test_the_check_can_be_switched_off_and_leaves_simulated_robots() -> None:
                 robot.drive(*AHEAD)
 
 
-def test_an_environment_truncates_the_episode() -> None:
+def test_wheel_fault_truncates_the_episode() -> None:
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=board("reversed", wheel=1))
     env.reset(seed=0)
     for _ in range(10):
@@ -204,7 +204,7 @@ def test_an_environment_truncates_the_episode() -> None:
         (("dead-wheel=c", "feedback-rate=20"), "rear_left stands still"),
     ],
 )
-def test_slow_feedback_is_checked(
+def test_wheel_check_of_slow_feedback(
     quirks: tuple[str, ...], message: str, start_emulator: StartEmulator, config: RobotConfig
 ) -> None:
     """Over a pseudo-terminal, at rates that the robot's file doesn't contain."""

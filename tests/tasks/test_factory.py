@@ -13,6 +13,7 @@ import pytest
 
 import acsar_gym
 from acsar_gym import Outcome, RobotEnv, State, Task
+from acsar_gym.envs.ids import make_vec
 from acsar_gym.errors import AcsarWarning, ConfigError
 from acsar_gym.tasks import PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
@@ -48,29 +49,23 @@ def returning(value: Any) -> Any:
 
 CLASSES: list[tuple[dict[str, Any], str]] = [
     ({"observation": {"x": (1.0, 0.0)}}, "Mine: observation: the bounds of a name must be"),
-    ({"observation": {"x": "low"}}, "Mine: ValueError"),
     ({"memory": ["x"]}, "Mine: ValueError"),
     ({"memory": {"odom_x": 0.0}}, "Mine: memory 'odom_x': info has that already"),
     ({"sensors": "lidar"}, ".*sensor"),
 ]
 METHODS: list[tuple[dict[str, Any], str]] = [
-    ({"outcome": returning(True)}, "Mine.outcome returned True: must be an Outcome"),
     ({"outcome": returning(7)}, "Mine.outcome returned 7: must be an Outcome"),
-    ({"reward": returning("much")}, "Mine.reward returned 'much': must be a finite number"),
     ({"reward": returning(np.nan)}, "Mine.reward returned nan: must be a finite number"),
     ({"observe": returning((1.0, 2.0))}, r"Mine.observe returned numbers of shape \(2,\): must be"),
-    ({"observe": returning("x")}, "Mine.observe returned 'x': must be numbers"),
     ({"observe": returning((np.inf,))}, "Mine.observe returned {'x': inf}: must be finite"),
     ({"reward": lambda self: 0.0}, r"Mine: TypeError: .* takes 1 positional argument"),
-    ({"memory": {"list": ()}}, "Mine: `told` must list names of the memory whose values are numb"),
     ({"told": ("speed",)}, "Mine: `told` must list .* KeyError: 'speed'"),
-    ({"observe": Task.observe}, "Mine: NotImplementedError: a task needs the method observe"),
     ({"reward": Task.reward}, "Mine: NotImplementedError: a task needs the method reward"),
 ]
 
 
 @pytest.mark.parametrize(("attributes", "message"), [*CLASSES, *METHODS])
-def test_a_mistake_is_one_line_at_the_latest_in_the_first_step(
+def test_task_mistake_is_one_line_at_the_latest_in_the_first_step(
     attributes: dict[str, Any], message: str
 ) -> None:
     task = type("Mine", (Plain,), attributes)
@@ -89,27 +84,16 @@ def test_a_mistake_is_one_line_at_the_latest_in_the_first_step(
     ("option", "message"),
     [
         ({"tolerence": 1.0}, "unknown option 'tolerence' of WithField; did you mean 'tolerance'"),
-        ({"max_steps": 5}, "did you mean 'max_episode_steps'"),
         ({"lnik": "planar"}, "did you mean 'link'"),
-        ({"qqq": 0}, "known: .*link, .*robot, .*tolerance, .*weights, worlds"),
         ({"weights": {"naer": 1.0}}, "unknown weight 'naer' of WithField; did you mean 'near'"),
-        ({"weights": {"near": "0,3"}}, "weight near = '0,3': must be a finite number"),
         ({"weights": {"near": np.inf}}, "weight near = inf: must be a finite number"),
         ({"weights": 0.3}, "weights = 0.3: must be a mapping"),
     ],
 )
-def test_a_wrong_option_is_one_line(kind: Any, option: dict[str, Any], message: str) -> None:
+def test_option_that_is_wrong_is_one_line(kind: Any, option: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
         kind(WithField, **option)
     assert "\n" not in str(caught.value)
-
-
-def test_weights_of_the_env_replace_those_of_the_class() -> None:
-    env = RobotEnv(Plain, "planar", weights={"near": 0.25})
-    env.reset(seed=0)
-    assert env.step(ACTION)[1] == 0.25
-    assert Plain.weights.near == 0.5
-    env.close()
 
 
 def test_weights_reach_a_batch_and_survive_the_spec() -> None:
@@ -119,10 +103,8 @@ def test_weights_reach_a_batch_and_survive_the_spec() -> None:
     single = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", weights=weights)
     assert single.spec is not None
     again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(single.spec.to_json()))
-    mode = "vector_entry_point"
-    batch = gymnasium.make_vec(
-        "acsar_gym/PointGoal-v0", 2, vectorization_mode=mode, weights=weights
-    )
+    batch = make_vec("acsar_gym/PointGoal-v0", 2, weights=weights)
+
     for env in (single, again, batch):
         env.reset(seed=5)
     rewards = [float(env.step(action)[1]) for env in (single, again)]
@@ -132,7 +114,7 @@ def test_weights_reach_a_batch_and_survive_the_spec() -> None:
         env.close()
 
 
-def test_options_of_one_mode_are_registered_for_it() -> None:
+def test_register_options_of_one_mode() -> None:
     acsar_gym.register(
         "mine/Modes-v0",
         task=PointGoal,
@@ -140,12 +122,14 @@ def test_options_of_one_mode_are_registered_for_it() -> None:
         vector_kwargs={"autoreset_mode": "SameStep"},
     )
     single: Any = gymnasium.make("mine/Modes-v0").unwrapped
-    batch: Any = gymnasium.make_vec("mine/Modes-v0", 2, vectorization_mode="vector_entry_point")
+    batch: Any = make_vec("mine/Modes-v0", 2)
     assert single.task.goal_tolerance == batch.task.goal_tolerance == 0.25
     assert batch.autoreset_mode.value == "SameStep"
     batch.close()
+
     with pytest.raises(ConfigError, match="unknown option 'thread' in vector_kwargs; did you mean"):
         acsar_gym.register("mine/Typo-v0", task=PointGoal, vector_kwargs={"thread": 2})
+
     with pytest.raises(ConfigError, match="must be a subclass of"):
         acsar_gym.register("mine/Typo-v0", task=dict)  # type: ignore[arg-type]
     assert "mine/Typo-v0" not in gymnasium.registry
@@ -163,7 +147,7 @@ class Beyond(Plain):
         return state.pose[0], state.time
 
 
-def test_an_observation_beyond_its_bounds_is_reported_once() -> None:
+def test_observation_beyond_its_bounds_is_reported_once() -> None:
     env = RobotEnv(Beyond, "planar")
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

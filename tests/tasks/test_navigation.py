@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from task_tools import ACSAR, Played
 
+from acsar_gym import RobotConfig
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, GAINED, MAP_NAMES, STALLED, log_share
 from acsar_gym.tasks import Barn, ObstacleGoal
 from acsar_gym.tasks.navigation import BARN_SCORES, CHALLENGE_SPEED, barn_score
 from acsar_gym.worlds import Region, World
 
+ACSAR = RobotConfig.preset("acsar")
 WORLD = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0))
 
 
@@ -35,21 +36,17 @@ def sense(gained: float = 0.0, *clearances: float, stalled: float = 0.0) -> Any:
         ({}, -0.04),
         ({"sensed": sense(1.0)}, 0.06),
         ({"pose": (1.0, 0.0, 0.0)}, -0.04),  # nearer in a straight line, but not along the way
-        ({"action": (1.0, -1.0)}, -0.04),
         ({"action": (-1.0, 0.0)}, -0.09),
         ({"contact": True}, -15.04),
         ({"sensed": sense(stalled=0.4)}, -0.08),
-        ({"twist": (0.5, 1.4)}, -0.04),
         ({"twist": (1.0, -1.5)}, -0.12),  # it slides
         ({"pose": (3.8, 0.0, 0.0)}, 4.96),
         ({"sensed": sense(0.0, 0.0)}, -0.19),
         ({"sensed": sense(0.0, 3.0, 0.2)}, -0.04 - 0.15 * (1.0 - math.log(1.8) / math.log(3.0))),
     ],
 )
-def test_reward_pays_for_the_way_and_for_arrival_and_costs_little_clearance(
-    state: dict[str, Any], reward: float
-) -> None:
-    step = Played(ObstacleGoal(), {}, WORLD).step(**{"sensed": sense(), **state})
+def test_navigation_reward_terms(state: dict[str, Any], reward: float, play: Any) -> None:
+    step = play(ObstacleGoal(), {}, WORLD).step(**{"sensed": sense(), **state})
     assert step[0] == pytest.approx(reward)
 
 
@@ -58,17 +55,16 @@ def test_reward_pays_for_the_way_and_for_arrival_and_costs_little_clearance(
     [
         (1.0, 2.0, 0.5),  # faster than k * OT counts as k * OT
         (20.0, 2.0, 0.25),
-        (40.0, 2.0, 0.125),
         (30.0, 4.0, 5.0 / 30.0),
     ],
 )
-def test_barns_score_of_ten_metres(time: float, k: float, score: float) -> None:
+def test_barn_score_of_ten_metres(time: float, k: float, score: float) -> None:
     assert barn_score(1.0, time, 10.0, 2.0, k=k) == pytest.approx(score)
     assert barn_score(0.0, time, 10.0, 2.0, k=k) == 0.0
 
 
-def test_an_episode_scores_when_it_reaches_the_goal() -> None:
-    barn = Played(Barn(), {"world": 1}, "barn:2")
+def test_barn_scores_when_it_reaches_the_goal(play: Any) -> None:
+    barn = play(Barn(), {"world": 1}, "barn:2")
     for _ in range(200):
         barn.step(pose=(5.0, 0.0, 0.0), sensed=sense())
     assert [barn.episode.info()[name] for name in BARN_SCORES] == [0.0] * 4

@@ -18,13 +18,13 @@ uniform = jit.loop(next_of)
 
 
 @given(st.integers(0, 2**64))
-def test_the_same_seed_gives_the_same_numbers(seed: int) -> None:
+def test_uniform_of_the_same_seed(seed: int) -> None:
     row = np.array([pcg.seed_row(seed)], np.uint64)
     expected = np.random.default_rng(seed).random(20)
     assert [uniform(row, 0) for _ in range(20)] == expected.tolist()
 
 
-def test_rows_that_are_lent_to_numpy_go_on_where_it_ends() -> None:
+def test_lent_generators_go_on_where_numpy_ends() -> None:
     rows = np.array([pcg.seed_row(seed) for seed in (1, 2, 3)], np.uint64)
     expected = np.random.default_rng(3)
     generators: dict[int, np.random.Generator] = {}

@@ -6,39 +6,25 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import gymnasium
 import numpy as np
 import pytest
+from gymnasium.vector import AutoresetMode
 from range_finder import ThreeRays
 
 from acsar_gym.envs import ids
 from acsar_gym.errors import AcsarError, ConfigError
-from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
-from acsar_gym.sensors.lidar import LidarSensor
 
 ENV_ID = "acsar_gym/ObstacleGoal-v1"
 
 
-class Coin(ThreeRays):
-    """Draws half a number of 64 bits at a time."""
-
-    name, size = "coin", 1
-
-    def read(self, robots: Any, out: Any) -> None:
-        out[:, 0] = [rng.integers(2, dtype=np.int32) for rng in robots.rngs]
-
-    def info(self, robots: Any) -> dict[str, Any]:
-        return {}
-
-
 class Gyro(Sensor):
-    """Yaw rate with a bias that walks, and drop-outs, in which it holds its last value [krad/s].
+    """Yaw rate with a bias that walks, and drop-outs, in which it holds its last value [rad/s]."""
 
-    The unit makes numbers so small that float32 keeps them to 1e-9.
-    """
-
-    name, size, low, high = "gyro", 2, -10.0, 10.0
+    name = "gyro"
+    size = 2
+    low = -10.0
+    high = 10.0
     memory: ClassVar[Mapping[str, float]] = {"bias": 0.5, "time": 0.0, "held": 0.0}
     compiled = True
     walk = 0.02
@@ -49,7 +35,8 @@ class Gyro(Sensor):
             robots.memory.bias[i] += 0.1 * draw_normal(robots.rngs, i)
 
     def read(self, robots: Any, out: Any) -> None:
-        memory, rngs = robots.memory, robots.rngs
+        memory = robots.memory
+        rngs = robots.rngs
         for i in range(len(out)):
             duration = max(robots.now[i] - memory.time[i], 0.0)
             memory.bias[i] += self.walk * math.sqrt(duration) * draw_normal(rngs, i)
@@ -57,14 +44,15 @@ class Gyro(Sensor):
             if draw_uniform(rngs, i) > 0.3:
                 noise = 0.01 * draw_normal(rngs, i)
                 memory.held[i] = robots.twist[i, 1] + memory.bias[i] + noise
-            out[i, 0] = 0.001 * memory.held[i]
-            out[i, 1] = 0.001 * math.cos(robots.pose[i, 2])
+            out[i, 0] = memory.held[i]
+            out[i, 1] = math.cos(robots.pose[i, 2])
 
 
 class PlainGyro(Gyro):
     """Isn't compiled, and reports its bias."""
 
-    name, compiled = "plain_gyro", False
+    name = "plain_gyro"
+    compiled = False
 
     def info(self, robots: Any) -> dict[str, Any]:
         return {"bias": robots.memory.bias}
@@ -73,7 +61,8 @@ class PlainGyro(Gyro):
 class Drifted(Sensor):
     """Remembers, and sees the scene."""
 
-    name, size = "drifted", 2
+    name = "drifted"
+    size = 2
     memory: ClassVar[Mapping[str, float]] = {"x": 0.0, "readings": 0.0}
 
     def reset(self, robots: Any) -> None:
@@ -85,52 +74,17 @@ class Drifted(Sensor):
         out[:] = np.column_stack([robots.pose[:, 0] - robots.memory.x, robots.memory.readings])
 
 
-CASES: dict[str, tuple[str, tuple[Any, ...], dict[str, Any]]] = {
-    "with the map and LiDAR": (ENV_ID, (Coin, ThreeRays, Gyro), {"worlds": "clutter:6"}),
-    "on an open floor": (
-        "acsar_gym/PointGoal-v0",
-        (PlainGyro, Drifted, Coin, ThreeRays, Gyro),
-        {"max_episode_steps": 5},
-    ),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
-def test_robots_of_a_batch_sense_what_single_ones_do(name: str, mode: str) -> None:
-    env_id, sensors, options = CASES[name]
-    options = {"sensors": sensors, "max_episode_steps": 9, **options}
-    batch: Any = ids.make_vec(env_id, 4, autoreset_mode=mode, **options)
-    singles = [gymnasium.make(env_id, link="planar", **options) for _ in range(4)]
-    rng = np.random.default_rng(0)
-    assert batch.single_observation_space == singles[0].observation_space
-
-    observations, infos = batch.reset(seed=5)
-    expected = [env.reset(seed=5 + i) for i, env in enumerate(singles)]
-    ended = [False] * 4
-    for _ in range(30):
-        for i, (observation, info) in enumerate(expected):
-            assert observations[i] == pytest.approx(observation, abs=1e-6)
-            assert observations[i, -2:] == pytest.approx(observation[-2:], rel=0.0, abs=1e-9)
-            assert {key: infos[key][i] for key in info} == pytest.approx(info, abs=1e-9)
-            assert all(infos[f"_{key}"][i] for key in info)
-
-        actions = rng.uniform(-1.0, 1.0, (4, 2))
-        observations, _, _, _, infos = batch.step(actions)
-        for i, env in enumerate(singles):
-            if ended[i]:
-                expected[i] = env.reset()
-                ended[i] = False
-                continue
-            observation, _, *ends, info = env.step(actions[i])
-            expected[i] = (observation, info)
-            ended[i] = any(ends)
-            if ended[i] and mode == "SameStep":
-                assert infos["final_obs"][i] == pytest.approx(observation, abs=1e-6)
-                expected[i] = env.reset()
-                ended[i] = False
-    for env in (batch, *singles):
-        env.close()
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("kind", ["ObstacleGoal", "PointGoal"])
+def test_batch_sensors_read_what_single_ones_do(
+    kind: str, mode: AutoresetMode, compare: Any
+) -> None:
+    options: dict[str, Any] = {
+        "sensors": [PlainGyro, Drifted, ThreeRays, Gyro],
+        "max_episode_steps": 5,
+    }
+    options |= {} if kind == "PointGoal" else {"worlds": "clutter:6"}
+    assert compare(kind, options, 20, range(4), 4, mode=mode) >= 8
 
 
 def make_batch(*sensors: Any, robots: int = 2, **options: Any) -> Any:
@@ -159,12 +113,11 @@ def failing(numbers: Any) -> Any:
 @pytest.mark.parametrize(
     ("numbers", "message"),
     [
-        (np.zeros(2), "broadcast"),
         (np.array([0.0, np.nan, 0.0]), "nan.* for robot 2"),
         (ValueError("too hot"), r"too hot \(.*test_sensors.py:\d+"),
     ],
 )
-def test_errors_need_a_reset(numbers: Any, message: str) -> None:
+def test_sensor_errors_need_a_reset(numbers: Any, message: str) -> None:
     env = make_batch(failing(numbers), robots=4)
     first, _ = env.reset(seed=0)
     env.step(np.zeros((4, 2)))
@@ -177,7 +130,7 @@ def test_errors_need_a_reset(numbers: Any, message: str) -> None:
     env.close()
 
 
-def test_numbers_of_a_compiled_sensor_are_those_of_its_generator() -> None:
+def test_draws_of_a_sensor_are_those_of_its_generator() -> None:
     rngs = [np.random.default_rng(seed) for seed in range(2)]
     uniform = np.random.default_rng(1).random(3)
     assert draw_uniform(rngs, 1) == uniform[0]
@@ -199,24 +152,14 @@ class Polled(ThreeRays):
         """Isn't called in a batch."""
 
 
-class NearBumper(ThreeRays):
-    needs = ("lidar",)
-
-
-def own_lidar(link: Any, config: Any) -> Sensor:
-    return LidarSensor(SimulatedLidar(link, config), config)
-
-
 @pytest.mark.parametrize(
     ("sensor", "message"),
     [
         (Misnames, r"sensor 'gyro': numba can't compile .*reset\(\)\n(.|\n)*bais"),
         (Polled, "'three_rays': has poll or needs, which .* vectorization_mode='async'"),
-        (NearBumper, "'three_rays': has poll or needs"),
-        (own_lidar, "two are named 'lidar'"),
         ("lidar", "two are named 'lidar'"),
     ],
 )
-def test_what_cannot_be_in_a_batch_is_named(sensor: Any, message: str) -> None:
+def test_sensor_that_cannot_be_in_a_batch_is_named(sensor: Any, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         make_batch(sensor).reset(seed=0)

@@ -26,7 +26,7 @@ class Backwards(PointGoal):
         return -float(state.action[0])
 
 
-def test_a_plain_task_is_refused_in_one_line() -> None:
+def test_task_that_is_not_compiled_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"compiled = True in Backwards.*='async'$"):
         RobotVectorEnv(Backwards)
 
@@ -54,7 +54,7 @@ class Weighted(Task):
         return state.time, 1, state.time > 0.0
 
 
-def test_a_compiled_task_reads_weights_and_returns_any_numbers() -> None:
+def test_task_reads_weights_and_returns_any_numbers() -> None:
     batch = RobotVectorEnv(Weighted, 3)
     assert batch.reset(seed=0)[0].tolist() == [[0.0, 1.0, 0.0]] * 3
     observations, rewards, *_ = batch.step(ACTIONS)
@@ -98,7 +98,7 @@ print(batch.step(np.zeros((2, 2)))[1][0], flush=True)
 """
 
 
-def test_a_task_whose_helper_was_edited_is_compiled_again(tmp_path: Path) -> None:
+def test_task_whose_helper_was_edited_is_compiled_again(tmp_path: Path) -> None:
     rewards = []
     (tmp_path / "mine.py").write_text(USER)
     for bonus in ("1.0", "2.0"):
@@ -148,7 +148,7 @@ class Late(Unsound):
     ],
 )
 @pytest.mark.parametrize("mode", ["single", "NextStep", "SameStep"])
-def test_what_a_step_cannot_use_is_named_and_a_reset_recovers(
+def test_task_mistake_in_a_step_is_named_and_a_reset_recovers(
     base: type[Task], attributes: dict[str, Any], message: str, mode: str
 ) -> None:
     task = type("Wrong", (base,), {"compiled": True, **attributes})
@@ -193,7 +193,7 @@ class Untyped(Unsound):
         (Untyped, r"^Untyped: numba can't compile .*reward\(\)\n(.|\n)*nothing"),
     ],
 )
-def test_what_a_reset_cannot_use_is_named(task: type[Task], message: str) -> None:
+def test_task_mistake_in_a_reset_is_named(task: type[Task], message: str) -> None:
     batch = RobotVectorEnv(task)
     with pytest.raises(ConfigError, match=message):
         batch.reset(seed=0)

@@ -11,7 +11,7 @@ import pytest
 from acsar_gym.vector.threads import Threads
 
 
-def test_an_error_of_any_slice_is_raised_and_the_threads_go_on() -> None:
+def test_threads_raise_an_error_of_any_slice() -> None:
     threads = Threads(3)
 
     def fail(first: int, last: int) -> None:
@@ -25,7 +25,7 @@ def test_an_error_of_any_slice_is_raised_and_the_threads_go_on() -> None:
     threads.close()
 
 
-def test_closed_threads_end_and_work_goes_on_alone() -> None:
+def test_threads_that_are_closed_end_and_work_goes_on_alone() -> None:
     running = set(threading.enumerate())
     threads = Threads(3)
     threads.share(lambda *_: None, 9)
@@ -53,6 +53,6 @@ sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
 """
 
 
-def test_a_forked_child_starts_its_own() -> None:
+def test_threads_of_a_forked_child() -> None:
     done = subprocess.run([sys.executable, "-c", FORK], check=False, timeout=60)
     assert done.returncode == 0

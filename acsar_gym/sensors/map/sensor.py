@@ -314,7 +314,7 @@ def follow_way(record: Any, grid: Grid, place: Place, goal: Place, scratch: Ints
     """Follow the way, or replace it if it is old or a piece of it has become dearer.
 
     Returns:
-        By how much the way has become shorter since the last step [m].
+        The length by which the way has become shorter since the last step [m].
     """
     points = record.points
     way = points[: record.corners]
@@ -526,8 +526,7 @@ class MapSensor(Sensor):
         """Fill in the numbers that `MAP_NAMES` names, (1, size)."""
         lidar: Any = self.needed[LIDAR]
         bearings, _, times, stamp = lidar.revolution
-        update_alone(
-            self.records,
+        inputs = (
             float(robots.now[0]),
             self.odometry.pose,
             self.goal,
@@ -537,6 +536,7 @@ class MapSensor(Sensor):
             self._scratch,
             out[0],
         )
+        update_alone(self.records, *inputs)
 
     @property
     def time(self) -> float:

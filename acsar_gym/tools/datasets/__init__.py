@@ -41,7 +41,7 @@ def write_dataset(
         The folder of the data set, and what it holds.
 
     Raises:
-        ConfigError: As for `read_demonstrations`, or the folder can't be written.
+        ConfigError: `read_demonstrations` refuses a file, or the folder can't be written.
         MissingExtraError: pyarrow or minari isn't installed.
     """
     data = read_demonstrations(paths, env, goal)

@@ -82,8 +82,8 @@ def read_demonstrations(
         paths: The recordings.
         env: Id or short name of an env with a goal, whose observations are made of what was
             recorded. "" takes the steps that an env recorded, and point_goal for other drives.
-        goal: x, y in the odometry frame [m]. None takes the goal that was recorded, or else the
-            place at which the drive ended.
+        goal: Goal x, y in the odometry frame [m]. None takes the goal that was recorded, or
+            the place at which the drive ended.
 
     Raises:
         ConfigError: A recording can't be read, has no whole episode, or doesn't fit the env or the

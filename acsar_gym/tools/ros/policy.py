@@ -464,7 +464,7 @@ def drive_policy(
             of the env.
         namespace: Namespace of the node and the robot.
         arguments: Arguments of ROS, which follow "--ros-args".
-        goal: x and y of the first goal, from where the robot is [m].
+        goal: Place x, y of the first goal, from where the robot is [m].
         count: Number of episodes. None for no end.
         how: Keyword arguments of `run_episodes`.
         trust: Whether the policy may be a file that can run code.

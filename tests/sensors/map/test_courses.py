@@ -30,7 +30,7 @@ def measure(*movers: tuple[float, ...]) -> Any:
     return out
 
 
-def test_an_object_that_comes_is_met_when_the_discs_touch() -> None:
+def test_measure_courses_meets_an_object_when_the_discs_touch() -> None:
     """It comes straight at the robot, which drives towards it or stands."""
     contacts, gaps = measure((2.0, 0.0, -0.7, 0.0, 0.2))
     distance = 2.0 - RADIUS - 0.2 - CONTACT_GAP * RADIUS
@@ -42,14 +42,14 @@ def test_an_object_that_comes_is_met_when_the_discs_touch() -> None:
     assert (contacts >= contacts[COURSES.index((1.0, 0.0))]).all()
 
 
-def test_left_and_right_are_mirror_images() -> None:
+def test_measure_courses_left_and_right_are_mirror_images() -> None:
     pairs = [COURSES.index((share, -curvature)) for share, curvature in COURSES]
     image = measure((0.8, -0.5, -0.3, 0.4, 0.2))
     mirrored = measure((0.8, 0.5, -0.3, -0.4, 0.2))[:, pairs]
     np.testing.assert_allclose(mirrored, image, rtol=0.0, atol=1e-12)
 
 
-def test_an_object_that_walks_away_isnt_met() -> None:
+def test_measure_courses_ignores_an_object_that_walks_away() -> None:
     near = (0.7, 0.0, 0.0, 0.0, 0.1)
     away = (0.9, 0.0, 2.0, 0.0, 0.1)
     assert measure(near, away).tolist() == measure(near).tolist()

@@ -57,7 +57,7 @@ def test_movers_are_in_the_robots_frame_and_units_the_first_to_be_met_first() ->
     assert not rows[2:].any()
 
 
-def test_the_first_of_many_are_observed_and_numbers_are_clipped() -> None:
+def test_movers_are_the_first_of_many_and_clipped() -> None:
     many = [(6.0 + 0.3 * n, 0.1, 9.0, -9.0, 5.0) for n in range(MOST_MOVERS + 3)]
     rows, _ = observe(*many[::-1])
     assert (rows[:, 0] == 0.5).all()
@@ -71,7 +71,7 @@ def test_the_first_of_many_are_observed_and_numbers_are_clipped() -> None:
 @pytest.mark.parametrize(
     ("speed", "moves", "is_met"), [(0.9, 0.0, True), (0.25, 0.0, False), (0.25, 1.0, True)]
 )
-def test_an_unsure_track_is_met_on_courses_if_its_speed_exceeds_the_doubt(
+def test_movers_that_are_unsure_are_met_on_courses(
     speed: float, moves: float, is_met: bool
 ) -> None:
     _, courses = observe((1.5, 0.0, -speed, 0.0, 0.2), moves=moves)

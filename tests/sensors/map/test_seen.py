@@ -52,9 +52,7 @@ def element(cell: Cell) -> Cell:
 
 @given(start=CELL, move=st.tuples(st.integers(-140, 140), st.integers(-140, 140)))
 @settings(max_examples=40, deadline=None)
-def test_a_window_that_moves_forgets_what_leaves_it_and_nothing_else(
-    start: Cell, move: Cell
-) -> None:
+def test_window_that_moves_forgets_what_leaves_it_and_nothing_else(start: Cell, move: Cell) -> None:
     cells = np.random.default_rng(0).integers(1, 200, (2, CELLS, CELLS)).astype(np.uint8)
     grid = make_grid((start[0] + move[0], start[1] + move[1]))
     grid.counts[:], grid.costs[:] = cells
@@ -85,7 +83,7 @@ def see_ahead(grid: Grid, distance: float, turn: int) -> Cell:
 @pytest.mark.parametrize(
     ("scans", "count", "occupied"), [(1, 4, False), (2, 7, True), (3, 10, True), (9, 10, True)]
 )
-def test_a_cell_is_occupied_where_measurements_end(
+def test_cell_is_occupied_where_measurements_end(
     middle: int, scans: int, count: int, occupied: bool
 ) -> None:
     grid = make_grid((middle, 0))
@@ -99,7 +97,7 @@ def test_a_cell_is_occupied_where_measurements_end(
 
 
 @pytest.mark.parametrize("hits", [2, 9])
-def test_a_cell_is_free_again_once_enough_measurements_have_passed_through(hits: int) -> None:
+def test_cell_is_free_again_once_enough_measurements_have_passed_through(hits: int) -> None:
     grid = make_grid()
     for _ in range(hits):
         cell = see_ahead(grid, 1.0, turn=1)

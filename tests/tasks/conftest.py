@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import pytest
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.tasks import Outcome, State, Task
@@ -40,3 +41,9 @@ class Played:
         """The observation, by its names."""
         values = self.episode.observe(self.state(**known)).tolist()
         return dict(zip(self.episode.task.observation, values, strict=True))
+
+
+@pytest.fixture(scope="session")
+def play() -> type[Played]:
+    """`play(task, options, worlds)` is an episode that has started."""
+    return Played
