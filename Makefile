@@ -26,6 +26,7 @@ demo: $(READY)  ## train a policy, drive it in PyBullet, then over a serial devi
 	$(BIN)/acsar-gym demo
 
 test: $(READY)  ## everything that must hold; linters and docs run beside the tests, which often wait
+	@ACSAR_GYM_CACHE=off $(BIN)/python tests/warm_kernels.py
 	@nice $(MAKE) --no-print-directory lint docs >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	  $(BIN)/pytest -n $(WORKERS); tested=$$?; \
 	  wait $$lint; linted=$$?; cat $(VENV)/lint.log; exit $$((tested || linted))

@@ -28,12 +28,13 @@ def make_bag(
     """Return what a bag of the drive would hold.
 
     Args:
-        tape: a recording of this package.
-        topics: the recording's topics that it has, and how they are called in it.
-        names: of the wheels' joints.
-        change: is called with the topic and the message; returns the one that is stored.
+        tape: A recording of this package.
+        topics: Names of topics in the recording, and in the bag.
+        names: Names of the wheels' joints.
+        change: Called with a topic and its message. Returns the message that is stored.
     """
-    store, bag = messages.load_typestore(), []
+    store = messages.load_typestore()
+    bag = []
     with tape.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
             if channel.topic not in topics or schema is None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.tools.benchmark.agents import Agent
-from acsar_gym.tools.benchmark.plan import Cell, Plan
+from acsar_gym.tools.benchmark.plan import Cell, Place, Plan
 from acsar_gym.tools.benchmark.scenes import find_sets
 from acsar_gym.tools.benchmark.table import CellResult, make_result
 from acsar_gym.tools.evaluation.episode import Episode
@@ -34,7 +34,7 @@ IDLE = Idle()
 
 
 def episode(number: int = 0, score: float = 0.9, **changes: Any) -> Episode:
-    """An episode of the open floor; it is a success unless its score is 0."""
+    """An episode of the open floor, a success unless its score is 0."""
     values: dict[str, Any] = {"seed": SCENES.numbers[number], "success": score > 0.0}
     values |= {"collision": False, "score": score, "ended": 4.0, "length": 40, "path": 1.5}
     values |= {"driven": 1.5, "shortest": 1.4, "left": 0.0, "turning": 0.5, "jerk": 2.0}
@@ -50,7 +50,8 @@ def cell(
     condition: str = "nominal",
 ) -> Cell:
     """A cell of two scenes."""
-    return Cell(Agent(name, kind, ENV, IDLE, seed), SCENES, link, condition)
+    place = Place(SCENES.id, SCENES.name, link, condition)
+    return Cell(Agent(name, kind, ENV, IDLE, seed), SCENES, place)
 
 
 def driven(scores: Sequence[float] = (0.9, 0.8)) -> CellResult:
@@ -60,9 +61,9 @@ def driven(scores: Sequence[float] = (0.9, 0.8)) -> CellResult:
 
 def result_of(cells: Mapping[Cell, CellResult]) -> dict[str, Any]:
     """The content of benchmark.json."""
-    conditions = tuple(dict.fromkeys(cell.condition for cell in cells))
+    conditions = tuple(dict.fromkeys(cell.place.condition for cell in cells))
     agents = tuple(dict.fromkeys(cell.agent for cell in cells))
-    links = tuple(dict.fromkeys(cell.link for cell in cells))
+    links = tuple(dict.fromkeys(cell.place.link for cell in cells))
     plan = Plan(agents, (SCENES,), links, conditions, count=2).as_dict()
     read: dict[str, Any] = json.loads(json.dumps(make_result(plan, cells)))
     return read

@@ -18,6 +18,6 @@ def examined(
     link: Link, saw: Sequence[str] | None = None, config: RobotConfig | None = None
 ) -> tuple[BoardExamination, dict[str, Check]]:
     """Examine a board. Returns the examination and its rows by name."""
-    seen = None if saw is None else parse_seen(saw)
-    examination = BoardExamination(config or RobotConfig(), spin=True, seen=seen)
+    turned = None if saw is None else parse_seen(saw)
+    examination = BoardExamination(config or RobotConfig(), spin=True, seen=turned)
     return examination, {row.name: row for row in examination.run(link)}

@@ -92,11 +92,12 @@ def apply_to_config(quirks: Quirks, config: RobotConfig) -> RobotConfig:
         firmware["command_timeout"] = None
     if "feedback-rate" in quirks:
         firmware["feedback_rate"] = float(quirks["feedback-rate"])
+
     wheels: dict[str, dict[str, Any]] = config.wheels.model_dump()
     for wheel in wheels.values():
-        for part in ("encoder", "motor"):
-            if f"swapped-{part}s" in quirks:
-                wheel[part] = wheel[part].translate(MIRRORED_LETTERS)
+        for device in ("encoder", "motor"):
+            if f"swapped-{device}s" in quirks:
+                wheel[device] = wheel[device].translate(MIRRORED_LETTERS)
     for name, sign in (("reversed-encoder", "sign"), ("reversed-motor", "motor_sign")):
         if name in quirks:
             wheels[quirks[name]][sign] *= -1
@@ -166,6 +167,7 @@ class QuirkyMotors:
             if sign == -self._signs[wheel]:
                 self._held[wheel] = 0.0
             self._signs[wheel] = sign
+
         if self._held[wheel] < self._hold:
             aim = 0.0
         if aim < 0.0:
@@ -254,9 +256,9 @@ class QuirkyLink(LinkWrapper):
             speeds = list(reading.over(ZERO))
             if self._dead_motor is not None:
                 speeds[self._dead_motor] = 0.0
-            if self._runaway is not None and (asked := speeds[self._runaway]):
-                most = min(abs(asked) + RUNAWAY_SPEED, self._top_speed)
-                speeds[self._runaway] = math.copysign(most, asked)
+            if self._runaway is not None and (command := speeds[self._runaway]):
+                fastest = min(abs(command) + RUNAWAY_SPEED, self._top_speed)
+                speeds[self._runaway] = math.copysign(fastest, command)
             line = encode(speeds).rstrip()
         return line
 
@@ -331,16 +333,16 @@ class Overshooting(LikeABoard):
     def __init__(self, link: Link) -> None:
         super().__init__(link)
         self._decoder = Decoder()
-        self._wanted = np.zeros(4)
+        self._set_points: Speeds = ZERO
         self._speeds = np.zeros(4)
         self._rates = np.zeros(4)
 
     def advance(self, period: float) -> bytes:
         readings = self._decoder.feed(super().advance(period))
         if readings:
-            self._wanted = np.array(readings[-1].over(tuple(self._wanted)))
+            self._set_points = readings[-1].over(self._set_points)
         for _ in range(round(period / self.SUBSTEP)):
-            pull = self.FREQUENCY**2 * (self._wanted - self._speeds)
+            pull = self.FREQUENCY**2 * (np.array(self._set_points) - self._speeds)
             self._rates += self.SUBSTEP * (pull - 2.0 * self.DAMPING * self.FREQUENCY * self._rates)
             self._speeds += self.SUBSTEP * self._rates
         return encode(self._speeds.tolist()) if readings else b""
@@ -363,7 +365,7 @@ FAULTS: dict[str, Callable[[NDArray[np.bool_]], Fault]] = {
     "swapped sides": lambda _: Fault(order=(1, 0, 3, 2)),
     "all zero": lambda _: Fault(feedback=np.zeros(4)),
 }
-"""Faults by name; their argument is a mask of the faulty wheels."""
+"""Faults by name. Their argument is a mask of the faulty wheels."""
 
 
 def make_fault(kind: str, wheel: int) -> Fault:
@@ -375,7 +377,7 @@ class FaultyBoard(LinkWrapper):
     """A simulated robot that is real for the driver, with late and lost lines, and a fault.
 
     Attributes:
-        failed_at: Time from which on the wheels are commanded to turn with the fault [s]; NaN
+        failed_at: Time from which on the wheels are commanded to turn with the fault [s]. NaN
             before it is known.
         sent: Newest command of the driver [rad/s].
         measured: Newest speeds that the driver gets [rad/s].
@@ -453,7 +455,7 @@ class FailingLink(LinkWrapper):
     Args:
         link: Link whose cable is pulled or whose board falls silent.
         after: Time until it fails [s].
-        silent: Whether the board falls silent until the next reset; otherwise its cable is pulled,
+        silent: Whether the board falls silent until the next reset. Otherwise its cable is pulled,
             so that the link is lost until it is opened again.
     """
 
@@ -485,7 +487,7 @@ class FailingLink(LinkWrapper):
         return b"" if self._has_failed() else data
 
     def _has_failed(self) -> bool:
-        """Whether the board is silent; LinkLostError if the cable is out."""
+        """Whether the board is silent. Raises LinkLostError if the cable is out."""
         failed = self.inner.now() >= self._fails_at
         if failed and not self._silent:
             self.inner.close()
@@ -547,7 +549,8 @@ class Sibling(Link):
             if byte != ord(","):
                 self.token = (self.token + bytes([byte]))[:40]
                 continue
-            text, self.token = self.token.strip(), b""
+            text = self.token.strip()
+            self.token = b""
             if text[:1] in (b"a", b"b", b"c", b"d") and text[1:2] in (b"p", b"n"):
                 number = text[2:].split()[0] if text[2:].split() else b"0"
                 value = int(float(number) * 100) * (1 if text[1:2] == b"p" else -1)
@@ -560,6 +563,7 @@ class Sibling(Link):
             self.us += 1000
             if self.us - self.heard > 500_000:
                 self.wanted = [0, 0, 0, 0]
+
             if self.us % 10_000 == 0:
                 for k, wanted in enumerate(self.wanted):
                     drive = 0 if abs(wanted) < 90 else wanted
@@ -577,10 +581,10 @@ class Sibling(Link):
 class NoTrailingComma(Sibling):
     """A board that reads whole lines, and misses the last value where a comma follows it."""
 
-    rest = b""
+    partial_line = b""
 
     def write(self, data: bytes) -> None:
-        *lines, self.rest = (self.rest + data).split(b"\r\n")
+        *lines, self.partial_line = (self.partial_line + data).split(b"\r\n")
         for line in lines:
             taken = line[:-1].rpartition(b",")[0] if line.endswith(b",") else line
             super().write(taken + b",")
@@ -591,12 +595,12 @@ def emulate() -> None:
     from acsar_gym.tools.cli import main
     from acsar_gym.tools.emulation import board
 
-    begin = sys.argv.index("--quirk") if "--quirk" in sys.argv else len(sys.argv)
-    end = begin + 1
+    first = sys.argv.index("--quirk") if "--quirk" in sys.argv else len(sys.argv)
+    end = first + 1
     while end < len(sys.argv) and not sys.argv[end].startswith("--"):
         end += 1
-    quirks = parse_quirks(sys.argv[begin + 1 : end])
-    del sys.argv[begin:end]
+    quirks = parse_quirks(sys.argv[first + 1 : end])
+    del sys.argv[first:end]
 
     class QuirkyEmulator(board.Emulator):
         def __init__(self, config: RobotConfig, **options: Any) -> None:

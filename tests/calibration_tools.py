@@ -11,8 +11,8 @@ import numpy as np
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import open_link
+from acsar_gym.recording.types import Floats
 from acsar_gym.robot import Robot
-from acsar_gym.tools.sysid.board import Floats
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
@@ -29,10 +29,10 @@ TAPE_DIVISION = 0.005
 def draw_wheels(seed: int) -> RobotConfig:
     """A robot whose multiplier is 1.2 to 2.2, and whose radii are off by up to 3 % a side."""
     rng = np.random.default_rng(seed)
-    left, right = rng.uniform(0.97, 1.03, 2).tolist()
+    multipliers = rng.uniform(0.97, 1.03, 2).tolist()
     return ACSAR.with_(
-        left_wheel_radius_multiplier=left,
-        right_wheel_radius_multiplier=right,
+        left_wheel_radius_multiplier=multipliers[0],
+        right_wheel_radius_multiplier=multipliers[1],
         body={"turn_factor": float(rng.uniform(1.2, 2.2))},
     )
 
@@ -46,7 +46,9 @@ def read_as_person(run: CalibrationRun) -> CalibrationRun:
         return read_tape(truth.kind, round(truth.value / TAPE_DIVISION) * TAPE_DIVISION)
 
     kinds = ("heading",) if run.manoeuvre == "turn" else ("distance", "aside")
-    return replace(run, readings=tuple(read(each) for each in run.readings if each.kind in kinds))
+    return replace(
+        run, readings=tuple(read(truth) for truth in run.readings if truth.kind in kinds)
+    )
 
 
 def usual_plans() -> list[RunPlan]:
@@ -57,7 +59,7 @@ def usual_plans() -> list[RunPlan]:
 def drive_with_truth(
     plans: Sequence[RunPlan], twin: RobotConfig, config: RobotConfig = ACSAR, link: str = "planar"
 ) -> list[CalibrationRun]:
-    """Drive a simulated robot that isn't as configured; the truth measures."""
+    """Drive a simulated robot that isn't as configured. The truth measures."""
     robot = Robot(open_link(link, twin), config)
     return [drive_run(robot, replace(plan, back=False), reads_truth=True) for plan in plans]
 
@@ -66,7 +68,7 @@ def leg_wheels(left: Sequence[float], right: Sequence[float], parts: int = 100) 
     """Wheel angles of legs, each with these angles of the left and the right wheels [rad]."""
     ends = np.cumsum([(0.0, 0.0), *zip(left, right, strict=True)], axis=0)
     return np.concatenate(
-        [np.linspace(begin, end, parts, endpoint=False) for begin, end in pairwise(ends)]
+        [np.linspace(start, end, parts, endpoint=False) for start, end in pairwise(ends)]
         + [ends[-1:]]
     )
 

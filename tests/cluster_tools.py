@@ -42,8 +42,8 @@ class Nodes:
 
 @contextlib.contextmanager
 def nodes(count: int) -> Iterator[Nodes]:
-    """Run a cluster inside the block; its processes can import the tests' modules."""
-    before = {name: os.environ.get(name) for name in ("PYTHONPATH", "RAY_USAGE_STATS_ENABLED")}
+    """Run a cluster inside the block. Its processes can import the tests' modules."""
+    usual = {name: os.environ.get(name) for name in ("PYTHONPATH", "RAY_USAGE_STATS_ENABLED")}
     os.environ.update(
         PYTHONPATH=os.pathsep.join([str(TESTS), str(TESTS.parent)]), RAY_USAGE_STATS_ENABLED="0"
     )
@@ -52,5 +52,5 @@ def nodes(count: int) -> Iterator[Nodes]:
         yield running
     finally:
         running.end()
-        for name, value in before.items():
+        for name, value in usual.items():
             os.environ.pop(name) if value is None else os.environ.update({name: value})

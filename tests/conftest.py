@@ -57,7 +57,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests of one file that run in real time go to one worker, which starts its boards once.
 
-    Such groups begin first; so have files that import torch, by a mark of their own.
+    Such groups start first. Files that import torch have groups by their own mark.
     """
     for item in items:
         grouped = item.get_closest_marker("xdist_group") is not None
@@ -94,7 +94,7 @@ def _kept_worlds(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 HANGS = 180.0
-"""A test that takes longer hangs [s]; programs that it starts may compile for a minute."""
+"""A test that takes longer hangs [s]. Programs that it starts may compile for a minute."""
 
 
 @pytest.fixture
@@ -104,11 +104,11 @@ def deadline() -> Iterator[None]:
     def expire(*_: object) -> None:
         pytest.fail(f"hangs for {HANGS:g} s")
 
-    before = signal.signal(signal.SIGALRM, expire)
+    usual_handler = signal.signal(signal.SIGALRM, expire)
     signal.setitimer(signal.ITIMER_REAL, HANGS)
     yield
     signal.setitimer(signal.ITIMER_REAL, 0.0)
-    signal.signal(signal.SIGALRM, before)
+    signal.signal(signal.SIGALRM, usual_handler)
 
 
 @pytest.fixture(autouse=True)
@@ -147,7 +147,7 @@ def robot_file(tmp_path: Path, config: RobotConfig) -> RobotFile:
 
 @pytest.fixture
 def start_emulator(tmp_path: Path, pytestconfig: pytest.Config) -> Iterator[StartEmulator]:
-    """`start_emulator("--silent", ...)` starts one; all of them end with the test."""
+    """`start_emulator("--silent", ...)` starts one. All of them end with the test."""
     running: list[Emulated] = []
 
     def begin(*arguments: str) -> Emulated:

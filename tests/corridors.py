@@ -10,7 +10,7 @@ LENGTH = 6.0
 
 
 def corridors(rng: np.random.Generator, difficulty: float, footprint_radius: float) -> World:
-    """A straight corridor; with difficulty it has more and narrower bottlenecks."""
+    """A straight corridor. With difficulty it has more and narrower bottlenecks."""
     half = 2.0 * footprint_radius + 0.4
     pieces = [[-1.0, side, LENGTH + 1.0, side] for side in (-half, half)]
     gap = 2.0 * footprint_radius + 0.2 + 0.4 * (1.0 - difficulty)

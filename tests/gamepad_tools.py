@@ -72,9 +72,9 @@ class PadDevice:
         if not data:
             raise OSError(errno.ENODEV, "No such device")
         data = self._partial + data
-        whole = len(data) - len(data) % RECORD.size
-        self._partial = data[whole:]
-        return (InputEvent(*record) for record in RECORD.iter_unpack(data[:whole]))
+        length = len(data) - len(data) % RECORD.size
+        self._partial = data[length:]
+        return (InputEvent(*record) for record in RECORD.iter_unpack(data[:length]))
 
     def close(self) -> None:
         os.close(self._file)
@@ -127,7 +127,7 @@ class EmulatedPad:
 
 def _pack(events: Iterable[InputEvent]) -> bytes:
     return b"".join(
-        RECORD.pack(each.sec, each.usec, each.type, each.code, each.value) for each in events
+        RECORD.pack(event.sec, event.usec, event.type, event.code, event.value) for event in events
     )
 
 

@@ -6,7 +6,7 @@ reset before the first line. So the lag is -10 ms / ln(1 - 1/12) = 114.9 ms, and
 nearer to its target than 0.11 rad/s.
 
 `IntegerLink` runs it in simulated time, with 1 ms of resolution and the time that bytes take on the
-wire; as a program it serves a pseudo-terminal:
+wire. As a program it serves a pseudo-terminal:
 
 python tests/integer_board.py --divisor 24 --deadband 90 --quantum 12
 """
@@ -34,14 +34,14 @@ REPEAT_PERIOD = 3000
 
 @dataclass(frozen=True)
 class BoardProgram:
-    """What its constants are; speeds in hundredths of rad/s, times in ms."""
+    """Its constants: speeds in hundredths of rad/s, times in ms."""
 
     divisor: int = 12
     """A loop moves a wheel's speed by this part of what is missing."""
     fraction: int = 1
     """Parts of a hundredth that speeds are kept in."""
     ramp: int = 0
-    """Change of the set point in a loop, at most; 0 for no ramp."""
+    """Largest change of the set point in a loop. 0 for no ramp."""
     gain: tuple[int, ...] = (100, 100, 100, 100)
     """Of each wheel, in percent."""
     backward: int = 100
@@ -63,11 +63,11 @@ class BoardProgram:
     repeat: int = 0
     """Every 3 s it goes on printing what it measured last for this long."""
     fresh: int = 0
-    """1: a line shows what the loop of its own millisecond did; 0: the loop before."""
+    """Whether a line shows the loop of its own millisecond (1) or the loop before (0)."""
     feedback: int = 20
     """From one line to the next."""
     timeout: int = 500
-    """From the newest command to the time-out; 0 for none."""
+    """From the newest command to the time-out. 0 for none."""
     boot: int = 1500
     """Silence after a reset."""
 
@@ -97,13 +97,16 @@ class IntegerBoard:
         self._commands: deque[tuple[int, int, int]] = deque()
         """When each counts, its wheel, its target."""
         self._heard = -(10**6)
-        self._targets, self._set_points, self._speeds = [0] * 4, [0] * 4, [0] * 4
-        self._signs, self._held = [0] * 4, [10**6] * 4
+        self._targets = [0] * 4
+        self._set_points = [0] * 4
+        self._speeds = [0] * 4
+        self._signs = [0] * 4
+        self._held = [10**6] * 4
         self._random = 1
         self._measured: deque[tuple[int, ...]] = deque(maxlen=1 + program.stale // LOOP)
 
     def run_millisecond(self, data: bytes) -> bytes:
-        """Let a millisecond pass, in which these bytes arrive; returns what the board prints."""
+        """Let a millisecond pass, in which these bytes arrive. Returns what the board prints."""
         self.time += 1
         if self.time < self.program.boot:
             return b""
@@ -120,7 +123,8 @@ class IntegerBoard:
         if byte not in b",\r\n":
             self._text = (self._text + bytes([byte]))[-16:]
             return
-        text, self._text = self._text, b""
+        text = self._text
+        self._text = b""
         digits = text[2:].replace(b".", b"")
         if len(text) == 7 and text[:1] in b"abcd" and text[1:2] in b"pn" and digits.isdigit():
             target = -int(digits) if text[1:2] == b"n" else int(digits)
@@ -128,29 +132,31 @@ class IntegerBoard:
 
     def _run_loop(self) -> None:
         """Move the wheels."""
-        own = self.program
+        program = self.program
         while self._commands and self._commands[0][0] <= self.time:
             self._heard, wheel, target = self._commands.popleft()
             self._targets[wheel] = target
-        if own.timeout and self.time - self._heard > own.timeout:
+        if program.timeout and self.time - self._heard > program.timeout:
             self._targets = [0] * 4
+
         for wheel, target in enumerate(self._targets):
             self._held[wheel] += LOOP
             if target * self._signs[wheel] < 0:
                 self._held[wheel] = 0
             self._signs[wheel] = (target > 0) - (target < 0) or self._signs[wheel]
-            aim = 0 if self._held[wheel] < own.hold else target
-            if own.ramp:
+            aim = 0 if self._held[wheel] < program.hold else target
+            if program.ramp:
                 missing = aim - self._set_points[wheel]
-                aim = self._set_points[wheel] + max(-own.ramp, min(own.ramp, missing))
+                aim = self._set_points[wheel] + max(-program.ramp, min(program.ramp, missing))
                 self._set_points[wheel] = aim
-            aim = divide(aim * own.gain[wheel], 100)
-            aim = divide(aim * own.backward, 100) if aim < 0 else aim
-            aim = 0 if abs(aim) < own.deadband else max(-own.top, min(own.top, aim))
+            aim = divide(aim * program.gain[wheel], 100)
+            aim = divide(aim * program.backward, 100) if aim < 0 else aim
+            aim = 0 if abs(aim) < program.deadband else max(-program.top, min(program.top, aim))
             speed = self._speeds[wheel]
-            self._speeds[wheel] = speed + divide(aim * own.fraction - speed, own.divisor)
-        if self.time % REPEAT_PERIOD >= own.repeat or not self._measured:
-            self._newest = tuple(divide(speed, own.fraction) for speed in self._speeds)
+            self._speeds[wheel] = speed + divide(aim * program.fraction - speed, program.divisor)
+
+        if self.time % REPEAT_PERIOD >= program.repeat or not self._measured:
+            self._newest = tuple(divide(speed, program.fraction) for speed in self._speeds)
         self._measured.append(self._newest)
 
     def _print_line(self) -> bytes:
@@ -158,7 +164,8 @@ class IntegerBoard:
         parts = []
         for letter, speed in zip("abcd", self._measured[0] if self._measured else (), strict=False):
             self._random = (self._random * 25173 + 13849) & 0xFFFF
-            noise, quantum = self.program.noise, self.program.quantum
+            noise = self.program.noise
+            quantum = self.program.quantum
             off = divide(self._random >> 4, 4096 // (2 * noise + 1) + 1) - noise if noise else 0
             size = min(abs(divide(speed + off, quantum) * quantum), 9999)
             sign = "n" if speed + off < 0 else "p"
@@ -170,15 +177,17 @@ class IntegerLink(Link):
     """The board at the end of a wire, in simulated time: a `Link`.
 
     Args:
-        program: of the board.
-        phase: by which the host's clock is ahead of the board's [ms].
-        wire: whether bytes take their time.
+        program: Constants of the board.
+        phase: Time by which the host's clock is ahead of the board's [ms].
+        wire: Whether bytes take their time.
     """
 
     arrivals: list[tuple[float, bytes]] = []  # noqa: RUF012 - set by each reset
 
     def __init__(self, program: BoardProgram, phase: float = 0.0, wire: bool = True) -> None:
-        self._program, self._phase, self.wire = program, phase, wire
+        self._program = program
+        self._phase = phase
+        self.wire = wire
         self.reset(Scene())
 
     def open(self) -> None:
@@ -209,11 +218,14 @@ class IntegerLink(Link):
         """Let a period pass, and return what arrived."""
         self._now += 1e3 * period
         while self._board.time + 1 <= self._now:
-            time, heard = self._board.time + 1, []
+            time = self._board.time + 1
+            heard = []
             while self._inbound and self._inbound[0][0] <= time:
                 heard.append(self._inbound.popleft()[1])
             self._send(1, self._outbound, self._board.run_millisecond(bytes(heard)), time)
-        self.arrivals, piece = [], bytearray()
+
+        self.arrivals = []
+        piece = bytearray()
         while self._outbound and self._outbound[0][0] <= self._now:
             stamp, byte = self._outbound.popleft()
             piece.append(byte)
@@ -246,17 +258,17 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main() -> None:
-    """Serve a pseudo-terminal until the process is ended; standard output says which."""
+    """Serve a pseudo-terminal until the process is ended. Its name is printed."""
     from acsar_gym.tools.emulation.cable import EmulatedCable
 
     arguments = vars(make_parser().parse_args())
     cable = EmulatedCable(115200, arguments.pop("name"))
     board = IntegerBoard(replace(BoardProgram(), **arguments | {"gain": tuple(arguments["gain"])}))
     print("device:", cable.device, flush=True)
-    begin = time.monotonic()
+    start = time.monotonic()
     try:
         while True:
-            time.sleep(max(0.0, begin + 1e-3 * (board.time + 1) - time.monotonic()))
+            time.sleep(max(0.0, start + 1e-3 * (board.time + 1) - time.monotonic()))
             cable.write(board.run_millisecond(cable.read()))
     except KeyboardInterrupt:
         sys.exit(0)

@@ -24,7 +24,7 @@ class Job:
 
 
 def square(job: Job) -> int:
-    """Square a number; leaves a file "start-NUMBER-PID" and, when it is done, "end-NUMBER"."""
+    """Square a number. Leaves a file "start-NUMBER-PID" and, when it is done, "end-NUMBER"."""
     try:
         (job.folder / f"start-{job.number}-{os.getpid()}").touch()
         died = job.folder / f"deaths-{job.number}"

@@ -18,12 +18,12 @@ PERMISSIVE = {
 }
 """They ask for their notice in copies, and for little else."""
 WEAK = {"LGPL-2.1-or-later", "MPL-2.0"}
-"""Changes of these packages themselves must be published; what imports them is free."""
-NOT_ASKED = {"all", "dev", "docs"}
-"""Extras that no user of the package needs, and the sum of the others."""
+"""Changes of these packages themselves must be published. Programs that import them are free."""
+NOT_FOR_USERS = {"all", "dev", "docs"}
+"""Extras that no user of the package needs, and the sum of all extras."""
 CUDA = ("cuda-", "nvidia-", "triton")
-"""Begin of the names of what torch's builds for NVIDIA's devices bring along."""
-KNOWN = {
+"""Starts of the names of what torch's builds for NVIDIA's devices install."""
+SPDX = {
     "Apache 2.0": "Apache-2.0",
     "Apache Software License": "Apache-2.0",
     "BSD": "BSD-3-Clause",  # numba and pyserial
@@ -36,7 +36,7 @@ KNOWN = {
     "Python Software Foundation License": "PSF-2.0",
     "zlib/libpng License": "Zlib",
 }
-"""Names that packages use for licences, and SPDX's."""
+"""SPDX's names of licences that packages name in another way."""
 HEAD = """# Licences
 
 `acsar_gym` is under the MIT licence. This table lists all that `pip install 'acsar_gym[all]'`
@@ -60,47 +60,38 @@ def normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def extras() -> list[str]:
-    """The extras for users: not those for working on this package, and not their sum."""
-    return sorted(set(metadata.metadata("acsar_gym").get_all("Provides-Extra") or []) - NOT_ASKED)
-
-
-def _holds(one: Requirement, chosen: set[str]) -> bool:
-    """Whether a requirement counts with these extras."""
-    return one.marker is None or any(one.marker.evaluate({"extra": e}) for e in chosen | {""})
-
-
 def installed_by(extra: str) -> set[str]:
-    """What an extra installs, as far as it is installed here; "" is the base."""
-    seen: set[tuple[str, frozenset[str]]] = set()
-    todo = [("acsar-gym", frozenset({extra} - {""}))]
-    while todo:
-        asked = todo.pop()
-        if asked in seen:
+    """Packages that an extra installs, of those that are installed here. "" is the base."""
+    visited: set[tuple[str, str]] = set()
+    waiting = [("acsar-gym", extra)]
+    while waiting:
+        package, wanted = waiting.pop()
+        if (package, wanted) in visited:
             continue
         try:
-            lines = metadata.requires(asked[0]) or []
+            lines = metadata.requires(package) or []
         except metadata.PackageNotFoundError:
             continue
-        seen.add(asked)
-        for line in lines:
-            one = Requirement(line)
-            if _holds(one, set(asked[1])):
-                todo.append((normal(one.name), frozenset(one.extras)))
-    return {name for name, _ in seen if not name.startswith(CUDA)} - {"acsar-gym"}
+        visited.add((package, wanted))
+
+        for requirement in map(Requirement, lines):
+            marker = requirement.marker
+            if marker is None or marker.evaluate({"extra": wanted}):
+                name = normal(requirement.name)
+                waiting += [(name, needed) for needed in ("", *requirement.extras)]
+    return {name for name, _ in visited if not name.startswith(CUDA)} - {"acsar-gym"}
 
 
 def licence(name: str) -> str:
-    """A package's licence as an SPDX expression, as far as the package says it."""
-    told: Any = metadata.metadata(name)  # a Message
-    if "License-Expression" in told:
-        return str(told["License-Expression"])
-    kinds: list[str] = [kind.split(" :: ")[-1] for kind in told.get_all("Classifier") or []]
-    own = str((told.get_all("License") or [""])[0])
-    short = [own] if own and "\n" not in own else []
-    named = [KNOWN.get(one, one) for one in short + kinds]
-    known = [one for one in named if parts(one) <= PERMISSIVE | WEAK]
-    return known[0] if known else own.partition("\n")[0]
+    """A package's licence as an SPDX expression, if the package names it."""
+    message: Any = metadata.metadata(name)
+    if "License-Expression" in message:
+        return str(message["License-Expression"])
+    field = str((message.get_all("License") or [""])[0])
+    classifiers = [kind.split(" :: ")[-1] for kind in message.get_all("Classifier") or []]
+    names = [SPDX.get(text, text) for text in (field, *classifiers)]
+    accepted = (text for text in names if parts(text) <= PERMISSIVE | WEAK)
+    return next(accepted, field.partition("\n")[0])
 
 
 def parts(expression: str) -> set[str]:
@@ -110,26 +101,24 @@ def parts(expression: str) -> set[str]:
 
 def rows() -> dict[str, str]:
     """The table's rows, by licence."""
+    extras = set(metadata.metadata("acsar_gym").get_all("Provides-Extra") or []) - NOT_FOR_USERS
+    by_extra = {extra: installed_by(extra) for extra in sorted(extras)}
     base = installed_by("")
-    by_extra = {extra: installed_by(extra) for extra in extras()}
     packages: dict[str, list[str]] = {}
     for name in sorted(base.union(*by_extra.values())):
         spdx = licence(name)
         if parts(spdx) & WEAK:
             users = ["base"] if name in base else [e for e in by_extra if name in by_extra[e]]
-            packages.setdefault(f"{spdx} (weak copyleft)", []).append(
-                f"{name} ({', '.join(users)})"
-            )
-        else:
-            packages.setdefault(spdx, []).append(name)
-
+            spdx += " (weak copyleft)"
+            name += f" ({', '.join(users)})"  # noqa: PLW2901
+        packages.setdefault(spdx, []).append(name)
     return {spdx: f"| {spdx} | {', '.join(packages[spdx])} |" for spdx in sorted(packages)}
 
 
 if __name__ == "__main__":
     table = rows()
-    allowed = PERMISSIVE | WEAK
-    other = [spdx for spdx in table if not parts(spdx.removesuffix(" (weak copyleft)")) <= allowed]
-    if other:
-        sys.exit(f"make licences: neither permissive nor weak copyleft: {', '.join(other)}")
+    names = {spdx: spdx.removesuffix(" (weak copyleft)") for spdx in table}
+    refused = [spdx for spdx, name in names.items() if not parts(name) <= PERMISSIVE | WEAK]
+    if refused:
+        sys.exit(f"make licences: neither permissive nor weak copyleft: {', '.join(refused)}")
     print(HEAD + "\n".join(table.values()))

@@ -32,7 +32,8 @@ LATE = 0.1
 
 def room(bearings: Floats, ages: Floats | None = None) -> Floats:
     """Ranges [m] at bearings [rad], counter-clockwise from the sensor's zero."""
-    cos, sin = np.cos(bearings), np.sin(bearings)
+    cos = np.cos(bearings)
+    sin = np.sin(bearings)
     with np.errstate(divide="ignore"):
         along_x = np.where(cos > 0.0, AHEAD, -BEHIND) / cos
         along_y = np.where(sin > 0.0, LEFT, -RIGHT) / sin
@@ -45,7 +46,7 @@ def nothing(bearings: Floats, ages: Floats | None = None) -> Floats:
 
 
 def start_lidar(log: Path, *arguments: str) -> Emulated:
-    """A sensor that serves; `log` gets a line each time it begins a turn or changes its state."""
+    """A sensor that serves. `log` gets a line each time it starts a turn or changes its state."""
     process = Forked("--log", str(log), *arguments, main=main)
     emulated = Emulated(process, first_line(process), log)
     if not emulated.device.startswith("/dev/"):
@@ -125,7 +126,7 @@ def spoil(twin: LidarTwin, fault: str | None, lose: int) -> None:
 
 
 def serve(emulator: LidarEmulator, note: Callable[..., None]) -> None:
-    """In real time; what changes is noted."""
+    """Serve in real time, and note what changes."""
     last_state = None
     turns = 0
     deadline = time.monotonic()

@@ -1,4 +1,4 @@
-"""LiDARs of other makers than SLAMTEC, as their manuals describe them; none of it is lds2d's."""
+"""LiDARs of other makers than SLAMTEC, as their manuals describe them, without code of lds2d."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from acsar_gym.tools.emulation.lidar import (
 class PacketTwin(LidarTwin):
     """Sends measurements when a packet is full.
 
-    Or a turn begins, where it `splits`; one that is `aligned` has its first packet at zero degrees.
+    Or a turn begins, if it `splits`. An `aligned` LiDAR has its first packet at zero degrees.
     """
 
     size = 1
@@ -44,12 +44,13 @@ class PacketTwin(LidarTwin):
                 sent += self._flush()
             self._waiting.append((degree, distance, start))
             if len(self._waiting) == self.size or (self.splits and start):
-                left = len(degrees) - 1 - number
-                sent += self._flush(left / (self._rate * self._samples))
+                remaining = len(degrees) - 1 - number
+                sent += self._flush(remaining / (self._rate * self._samples))
         return sent
 
     def _flush(self, age: float = 0.0) -> bytes:
-        full, self._waiting = self._waiting, []
+        full = self._waiting
+        self._waiting = []
         return self.pack([d for d, _, _ in full], [r for _, r, _ in full], full[0][2], age)
 
     def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
@@ -67,7 +68,7 @@ def crc8(data: bytes) -> int:
 
 
 class LdrobotTwin(PacketTwin):
-    """An LD06 measures as long as it has power; an LD14P takes commands."""
+    """An LD06 measures as long as it has power. An LD14P takes commands."""
 
     size = 12
 
@@ -116,8 +117,8 @@ class YdlidarTwin(PacketTwin):
         beams = degrees
         for _ in range(8):
             ranges = super().measure(beams, ages)
-            far = np.maximum(np.rint(ranges * 4000.0) / 4.0, 1e-3)
-            off = np.degrees(np.arctan(21.8 * (155.3 - far) / (155.3 * far)))
+            millimetres = np.maximum(np.rint(ranges * 4000.0) / 4.0, 1e-3)
+            off = np.degrees(np.arctan(21.8 * (155.3 - millimetres) / (155.3 * millimetres)))
             beams = degrees + np.where(ranges > 0.0, off, 0.0)
         return ranges
 
@@ -128,12 +129,13 @@ class YdlidarTwin(PacketTwin):
         check = 0x55AA ^ (kind | len(words) << 8) ^ first ^ last
         for word in words:
             check ^= word
-        head = struct.pack("<HBBHHH", 0x55AA, kind, len(words), first, last, check)
+        fields = (0x55AA, kind, len(words), first, last, check)
+        head = struct.pack("<HBBHHH", *fields)
         return head + struct.pack(f"<{len(words)}H", *words)
 
 
 class TminiProTwin(YdlidarTwin):
-    """A T-mini Pro: its beam goes where the head points; intensity before each distance."""
+    """A T-mini Pro: its beam goes where the head points. An intensity precedes each distance."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -151,10 +153,12 @@ class TminiProTwin(YdlidarTwin):
         check = 0x55AA ^ (kind | len(ranges) << 8) ^ first ^ last
         samples = b""
         for number, distance in enumerate(ranges):
-            intensity, word = (number * 37) & 0xFF, round(distance * 1000.0) << 2
+            intensity = (number * 37) & 0xFF
+            word = round(distance * 1000.0) << 2
             check ^= intensity ^ word
             samples += struct.pack("<BH", intensity, word)
-        return struct.pack("<HBBHHH", 0x55AA, kind, len(ranges), first, last, check) + samples
+        fields = (0x55AA, kind, len(ranges), first, last, check)
+        return struct.pack("<HBBHHH", *fields) + samples
 
 
 class DenseRplidarTwin(RplidarTwin):
@@ -168,7 +172,8 @@ class DenseRplidarTwin(RplidarTwin):
         self._waiting: list[tuple[float, float]] = []
 
     def _answer(self, request: bytes) -> bytes:
-        command, payload = request[1], request[3:-1]
+        command = request[1]
+        payload = request[3:-1]
         is_whole = functools.reduce(operator.xor, request) == 0
         if command == 0xA8 and is_whole:
             self.running = struct.unpack("<H", payload)[0] > 0
@@ -193,7 +198,8 @@ class DenseRplidarTwin(RplidarTwin):
                 body = struct.pack("<41H", first | self._is_first << 15, *words)
                 check = functools.reduce(operator.xor, body)
                 sent += bytes((0xA0 | check & 15, 0x50 | check >> 4)) + body
-                self._waiting, self._is_first = [], False
+                self._waiting = []
+                self._is_first = False
         return sent
 
 

@@ -89,7 +89,7 @@ class Program:
         self.pid = int(self._report.readline())
 
     def poll(self) -> int | None:
-        """Its exit status, minus the signal that killed it; None while it runs."""
+        """Its exit status, minus the signal that killed it. None while it runs."""
         return self.returncode if self.returncode is not None else self._status(0.0)
 
     def wait(self, timeout: float = TIMEOUT) -> int:
@@ -105,14 +105,14 @@ class Program:
         return self.returncode
 
     def communicate(self, timeout: float = TIMEOUT) -> tuple[str, str]:
-        """What it said, and what it complained about, when it has ended."""
+        """Its output and its errors, when it has ended."""
         self.wait(timeout)
         os.set_blocking(self.stdout.fileno(), False)  # a child of its own may hold the other end
-        said = b""
+        output = b""
         with contextlib.suppress(BlockingIOError):
             while piece := os.read(self.stdout.fileno(), 4096):
-                said += piece
-        return said.decode(), self.errors
+                output += piece
+        return output.decode(), self.errors
 
     @property
     def errors(self) -> str:
@@ -144,7 +144,7 @@ class Program:
 
 @contextlib.contextmanager
 def program(code: str, *arguments: str) -> Iterator[Program]:
-    """A Python program in another process; killed at the end of the block if it still runs."""
+    """A Python program in another process, killed at the end of the block if it still runs."""
     running = Program(code, *arguments)
     try:
         yield running
@@ -153,7 +153,7 @@ def program(code: str, *arguments: str) -> Iterator[Program]:
 
 
 def first_line(process: Program) -> str:
-    """What a program says first; it says no more, or waits before that."""
+    """The first line of a program that then prints no more, or waits."""
     ready, _, _ = select.select([process.stdout], [], [], TIMEOUT)
     return process.stdout.readline().decode().strip() if ready else ""
 

@@ -33,6 +33,8 @@ UNTESTED = re.compile(r"/(ros2|ros_watchdog_child|ros/node|ros/policy|__init__|_
 """Files whose tests need another installation (`make test-ros`), and files without logic."""
 ENVIRONMENTS = ["tests/envs", "tests/vector/test_task.py", "tests/test_robot.py"]
 """Tests of whole environments, which also run for faults outside `tools`."""
+ELSEWHERE = {"ros": "links"}
+"""Folders of tests that have another name than the package."""
 MESSAGES = (ast.Raise, ast.Assert, ast.JoinedStr)
 TYPES = ("annotation", "returns", "decorator_list", "bases")
 TEXTS = (ast.JoinedStr, ast.List, ast.ListComp, ast.Tuple)
@@ -120,6 +122,7 @@ def change_operator(node: ast.AST, source: str) -> Iterator[Change]:
             return
         case _:
             return
+
     texts = [isinstance(getattr(side, "value", 0), str) for side in (left, right)]
     if type(operator) in OPERATORS and not any(texts) and not isinstance(left, TEXTS):
         place: Place = (*place_of(left)[2:], *place_of(right)[:2])
@@ -181,13 +184,13 @@ def choose(faults: list[Fault], count: int, seed: int) -> list[Fault]:
 def find_tests(file: str) -> list[str]:
     """Return the tests that mirror a file of the package, and those of whole environments."""
     path = Path(file).relative_to("acsar_gym")
-    folder = str(path.parent)
+    folder = ELSEWHERE.get(str(path.parent), str(path.parent))
     if folder in (".", "tools"):
         candidates = [f"{folder}/test_{path.stem}*.py", "test_protocol*.py"]
     else:
         candidates = [folder, str(path.parent.parent), f"test_{path.parent.name}*.py"]
-    found = (sorted((ROOT / "tests").glob(name)) for name in candidates if name != ".")
-    tests = [str(test.relative_to(ROOT)) for test in next(filter(None, found))]
+    matches = (sorted((ROOT / "tests").glob(name)) for name in candidates if name != ".")
+    tests = [str(test.relative_to(ROOT)) for test in next(filter(None, matches))]
     return tests if path.parts[0] == "tools" else list(dict.fromkeys([*tests, *ENVIRONMENTS]))
 
 
@@ -309,12 +312,12 @@ def main() -> None:
 
     def detect(fault: Fault) -> None:
         copy = copies.get()
-        begin = time.monotonic()
+        start = time.monotonic()
         test = copy.detect(fault, whole=options.whole)
         copies.put(copy)
         if not test:
             undetected.append(fault)
-        seconds = time.monotonic() - begin
+        seconds = time.monotonic() - start
         place = f"{fault.file}:{fault.place[0]}"
         print(f"{seconds:5.0f} s  {place} {fault.kind}: {test or 'NOT DETECTED'}", flush=True)
 

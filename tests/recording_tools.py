@@ -16,7 +16,7 @@ from acsar_gym.worlds import Scene
 
 
 def drive(path: Path, config: RobotConfig, ticks: int = 120, **options: Any) -> Path:
-    """Record the planar robot with its LiDAR in curves; returns the path."""
+    """Record the planar robot with its LiDAR in curves, and return the path."""
     recorder = Recorder(path, {"command": "test"}, **options)
     with Robot(open_link("planar", config), config, ["lidar"], recorder) as robot:
         for tick in range(ticks):
@@ -39,7 +39,8 @@ def record_env(path: Path, env_id: str, episodes: int = 2, **options: Any) -> Pa
 
 def record_drive(path: Path, *ways: list[tuple[float, float, int]]) -> Path:
     """One episode for each way, which is a list of (linear, angular, ticks)."""
-    recorder, config = Recorder(path, {"command": "drive"}), RobotConfig.of(None)
+    recorder = Recorder(path, {"command": "drive"})
+    config = RobotConfig.of(None)
     with Robot(open_link("planar", config), config, recorder=recorder) as robot:
         for number, way in enumerate(ways):
             if number:

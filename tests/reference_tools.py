@@ -52,9 +52,9 @@ def rows_of(name: str, package: Any) -> Iterator[str]:
     """The row of a name, or those of a module's classes."""
     shown = package[name.partition(".")[2]]
     if shown.is_module:
-        for one in shown.classes.values():
-            if not one.name.startswith("_"):
-                yield f"| `{one.name}` | {first_line(one)} |\n"
+        for kind in shown.classes.values():
+            if not kind.name.startswith("_"):
+                yield f"| `{kind.name}` | {first_line(kind)} |\n"
         return
     yield f"| `{name}` | {first_line(shown)} |\n"
 

@@ -150,10 +150,17 @@ def of_rows(log: WireLog, rows: list[Any], info: Mapping[str, Any], **arrays: An
         "rewards": np.zeros(0),
         "scans": Scans(np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64)),
     }
-    rows_of = {"poses": poses, "twists": twists, "speeds": speeds, "truth": truth}
-    episode = Episode(Head(info=dict(info)), Tables())
-    vars(episode).update(wire=log, stamps=stamps, **rows_of, **(nothing | arrays))
-    return episode
+    return Episode(
+        Head(info=dict(info)),
+        Tables(),
+        wire=log,
+        stamps=stamps,
+        poses=poses,
+        twists=twists,
+        speeds=speeds,
+        truth=truth,
+        **(nothing | arrays),
+    )
 
 
 def recording(config: RobotConfig, *episodes: Episode, name: str = "", **header: Any) -> Recording:

@@ -22,7 +22,7 @@ ROUNDED = 0.003
 """What wires and lds2d round away [m]."""
 
 MODELS = ("rplidar", "ld06", "ydlidar_x4")
-"""One that is asked for turns, one that always sends them, and one that sends packets of a turn."""
+"""A LiDAR that is asked for turns, another that always sends them, and a third that splits them."""
 
 Start = Callable[..., Emulated]
 Open = Callable[..., SerialLidar]
@@ -31,7 +31,7 @@ Open = Callable[..., SerialLidar]
 def open_serial(
     device: Emulated | str, model: str = "rplidar", timeout: float = 20.0
 ) -> SerialLidar:
-    """A LiDAR on a device; closed."""
+    """A closed LiDAR on a device."""
     config = RobotConfig.preset("acsar").with_(lidar={"timeout": timeout}, reconnect_timeout=0.5)
     name = device if isinstance(device, str) else device.device
     return SerialLidar(name, find_drivers()[model], config, time.monotonic)

@@ -91,13 +91,13 @@ class Forked:
     def __init__(self, *arguments: str, main: Callable[[], None] | None = None) -> None:
         self.args = arguments
         context = _fork_server()
-        heard, said = zip(*(context.Pipe(duplex=False) for _ in range(2)), strict=True)
-        task = (main, arguments, dict(os.environ), said)
+        inputs, outputs = zip(*(context.Pipe(duplex=False) for _ in range(2)), strict=True)
+        task = (main, arguments, dict(os.environ), outputs)
         self._process = context.Process(target=_run, args=task, daemon=True)
         self._process.start()
-        for end in said:
+        for end in outputs:
             end.close()
-        self.stdout, self.stderr = map(_as_text, heard)
+        self.stdout, self.stderr = map(_as_text, inputs)
 
     @property
     def pid(self) -> int:
@@ -191,7 +191,7 @@ class Emulated(EmulatedBoard):
         now = time.monotonic()
 
         def has_arrived() -> bool:
-            """A late emulator reads all in one loop; a UART takes another one or two."""
+            """A late emulator reads all in one loop, a UART takes another one or two."""
             loops = [event for event in self.events() if "pose" in event and event["t"] > now]
             return len(loops) >= 5
 
@@ -199,7 +199,7 @@ class Emulated(EmulatedBoard):
         self._events.clear()
 
     def devices(self) -> list[str]:
-        """The name of the device after each pull and plug; "" where the cable was out."""
+        """The name of the device after each pull and plug, "" where the cable was out."""
         return [event["device"] for event in self.events() if "device" in event]
 
     def since_plugged(self) -> bytes:
@@ -215,7 +215,7 @@ class Emulated(EmulatedBoard):
         self.process.wait(TIMEOUT)
 
     def end(self) -> int:
-        """Switch off in order; the exit status. Twice is once."""
+        """Switch off in order, and return the exit status. Idempotent."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGCONT)
             self.process.terminate()
@@ -231,7 +231,7 @@ class Emulated(EmulatedBoard):
 
 
 def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
-    """An emulator that serves; its log is at `log`.
+    """An emulator that serves. Its log is at `log`.
 
     `board` is the command of another program with the same output, log and signals.
     """
@@ -258,17 +258,17 @@ def cli(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     process = Forked(*map(str, arguments))
     with ThreadPoolExecutor(2) as readers:
         try:
-            said = [readers.submit(stream.read) for stream in (process.stdout, process.stderr)]
+            texts = [readers.submit(stream.read) for stream in (process.stdout, process.stderr)]
             code = process.wait(TIMEOUT)
         finally:
             process.kill()
     process.close()
-    return subprocess.CompletedProcess(arguments, code, *(text.result() for text in said))
+    return subprocess.CompletedProcess(arguments, code, *(text.result() for text in texts))
 
 
 @contextlib.contextmanager
 def program(code: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A Python program in another process; killed at the end of the block if it still runs."""
+    """A Python program in another process, killed at the end of the block if it still runs."""
     command = [sys.executable, "-c", code, *arguments]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -289,6 +289,6 @@ def open_files() -> int:
 def no_leak() -> Iterator[None]:
     """Fails where the block leaves a descriptor open."""
     install_handlers()  # which opens a pipe, once in a process
-    before = open_files()
+    files = open_files()
     yield
-    assert open_files() == before, "a descriptor was left open"
+    assert open_files() == files, "a descriptor was left open"

@@ -35,6 +35,7 @@ def draw_motors(seed: int) -> RobotConfig:
     rng = np.random.default_rng(seed)
     lag = rng.uniform(0.03, 0.3)
     lags = lag * rng.uniform(0.9, 1.1, 4) if rng.random() < 0.3 else np.full(4, lag)
+
     return ACSAR.with_(
         motor={
             "time_constant": tuple(lags.tolist()),

@@ -43,7 +43,7 @@ def hidden() -> list[str]:
     """What can be imported here, but not where only the base is installed."""
     base = installed_by("") | {"acsar-gym"}
     provided = metadata.packages_distributions()
-    extra = (name for name, by in provided.items() if not base & {normal(one) for one in by})
+    extra = (name for name, by in provided.items() if base.isdisjoint(map(normal, by)))
     return sorted(name for name in extra if name.isidentifier() and "mypyc" not in name)
 
 
@@ -60,11 +60,11 @@ def run(hidden: list[str], *arguments: str) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-def test_the_base_has_no_simulator_and_no_torch() -> None:
+def test_base_has_no_simulator_and_no_torch() -> None:
     assert installed_by("").isdisjoint(LARGE)
 
 
-def test_the_base_drives_over_a_serial_device(hidden: list[str], shared_device: str) -> None:
+def test_base_drives_over_a_serial_device(hidden: list[str], shared_device: str) -> None:
     assert {"scipy", "pytest"} <= set(hidden)
     code, out, err = run(hidden, shared_device, "doctor", shared_device)
     assert (code, err) == (0, "")
@@ -83,9 +83,9 @@ def test_the_base_drives_over_a_serial_device(hidden: list[str], shared_device: 
     ],
 )
 @pytest.mark.slow
-def test_what_needs_an_extra_is_one_line(hidden: list[str], command: str, said: str) -> None:
-    what, extra = said.split(": ")
+def test_base_names_a_missing_extra_in_one_line(hidden: list[str], command: str, said: str) -> None:
+    feature, extra = said.split(": ")
     code, _, err = run(hidden, "planar", *command.split())
     command = f"pip install --constraint constraints.txt '.[{extra}]'"
-    assert err == f"acsar-gym: {what} needs an extra, in the checkout: {command}\n"
+    assert err == f"acsar-gym: {feature} needs an extra, in the checkout: {command}\n"
     assert code == 2

@@ -24,23 +24,23 @@ ADDRESS = re.compile(
     r"sin6?_port=htons\((\d+)\).*?(?:inet_addr\(|inet_pton\(AF_INET6, )\"([^\"]+)\""
 )
 QUIETING = ("CI", "GITHUB_ACTIONS", "TF_BUILD", "ORT_DISABLE_TELEMETRY", "RAY_USAGE_STATS_ENABLED")
-"""Variables by which libraries stay silent; a user's shell doesn't have them."""
+"""Variables by which libraries stay silent. A user's shell doesn't have them."""
 
 
 def outside(trace: Path) -> list[str]:
     """Calls of a trace that reach out: to other addresses, or for a name to a resolver."""
-    found = []
+    reaching = []
     for line in trace.read_text(errors="replace").splitlines():
         if CALL.search(line) is None:
             continue
         if "AF_UNIX" in line and "resolve" in line:
-            found.append(line)
+            reaching.append(line)
         for port, address in ADDRESS.findall(line):
             ip = ipaddress.ip_address(address)
             ip = getattr(ip, "ipv4_mapped", None) or ip
             if port == "53" or not ip.is_loopback:
-                found.append(line)
-    return found
+                reaching.append(line)
+    return reaching
 
 
 def command(*arguments: str) -> list[str]:
@@ -49,7 +49,7 @@ def command(*arguments: str) -> list[str]:
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A home of its own for a user who has silenced nothing; commands run beside it."""
+    """A home of its own for a user who has silenced nothing. Commands run beside it."""
     folder = tmp_path / "home"
     folder.mkdir()
     monkeypatch.chdir(tmp_path)
@@ -81,39 +81,36 @@ def trace(home: Path) -> Path:
 def assert_silent(trace: Path, home: Path) -> None:
     """Nothing reached out, and nobody left a number for this computer."""
     assert outside(trace) == []
-    left = [str(path.relative_to(home)) for path in home.rglob("*") if path.is_file()]
-    assert [name for name in left if not name.startswith((".cache/matplotlib/", ".config/"))] == []
+    files = [str(path.relative_to(home)) for path in home.rglob("*") if path.is_file()]
+    assert [name for name in files if not name.startswith((".cache/matplotlib/", ".config/"))] == []
 
 
-QUICK = {
-    "train": "--env point_goal --steps 1 --robots 4 --threads 1 --net 8 --no-progress --out run",
-    "evaluate": "--policy point_goal --episodes 2 --workers 2 --json figures.json",
-    "benchmark": "--sets open/acsar --agents packaged turn_drive --links planar --scenes 2 "
-    "--workers 2 --out bench --html bench.html",
-    "demo": "--steps 4096 --episodes 2 --serial-episodes 1 --out demo",
+COMMANDS = {
+    "train --env point_goal --steps 1 --robots 4 --threads 1 --net 8 --no-progress --out run": (
+        "next: acsar-gym evaluate"
+    ),
+    "evaluate --policy point_goal --episodes 2 --workers 2 --json figures.json": (
+        "point_goal, seeds 0 to 1"
+    ),
+    "benchmark --sets open/acsar --agents packaged turn_drive --links planar --scenes 2 "
+    "--workers 2 --out bench --html bench.html": "written: bench",
+    "demo --steps 4096 --episodes 2 --serial-episodes 1 --out demo": "serial device (emulator)",
 }
-"""Options with which commands take less time."""
-LAST = {
-    "train": "next: acsar-gym evaluate",
-    "evaluate": "point_goal, seeds 0 to 1",
-    "benchmark": "written: bench",
-    "demo": "serial device (emulator)",
-}
-"""What commands print when they have done all; their exit code also tells of a busy machine's late
-ticks, and that a policy of so few steps misses its goals."""
+"""Commands, with options that make them short, and what they print when they have done all. Their
+exit code also depends on late ticks, and on goals that a policy of few steps misses."""
 
 
-@pytest.mark.parametrize("name", QUICK)
-def test_a_command_connects_to_nobody(name: str, trace: Path, home: Path) -> None:
-    traced = [*TRACE, "-o", str(trace), *command(name, *QUICK[name].split())]
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: words.split(" ")[0])
+def test_commands_connect_to_no_other_computer(words: str, trace: Path, home: Path) -> None:
+    traced = [*TRACE, "-o", str(trace), *command(*words.split())]
     done = subprocess.run(traced, check=False, capture_output=True, text=True, timeout=TIMEOUT)
-    assert LAST[name] in done.stdout, done.stderr
+    assert COMMANDS[words] in done.stdout, done.stderr
     assert_silent(trace, home)
 
 
-def test_view_connects_to_nobody(trace: Path, home: Path) -> None:
-    driven = command("evaluate", "--policy", "point_goal", "--link", "planar", "--episodes", "1")
-    subprocess.run([*driven, "--record", "a.mcap"], check=True, capture_output=True)
+def test_view_connects_to_no_other_computer(trace: Path, home: Path) -> None:
+    drive = ["evaluate", "--policy", "point_goal", "--link", "planar", "--episodes", "1"]
+    subprocess.run([*command(*drive), "--record", "a.mcap"], check=True, capture_output=True)
     traced = [*TRACE, "-o", str(trace), *command("view", "a.mcap", "--save", "a.rrd")]
     subprocess.run(traced, check=True, capture_output=True, timeout=TIMEOUT)
     assert_silent(trace, home)

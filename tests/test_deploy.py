@@ -85,7 +85,7 @@ def test_units_are_valid_for_systemd(path: Path, tmp_path: Path) -> None:
     copy = tmp_path / path.name
     text = path.read_text(encoding="utf-8").replace(PLACE, sys.executable)
     copy.write_text(text, encoding="utf-8")
-    command = ["systemd-analyze", "verify", copy]
+    command = ["systemd-analyze", "verify", str(copy)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert [line for line in done.stderr.splitlines() if path.name in line] == []
 
@@ -130,6 +130,7 @@ def test_entrypoint_stops_the_wheels_when_the_program_ends(
         start_new_session=True,
     ) as container:
         wait_until(emulator.is_driven, "a command that turns the wheels")
+
         (program,) = (
             process
             for process in psutil.Process(container.pid).children(recursive=True)

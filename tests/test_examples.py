@@ -1,4 +1,4 @@
-"""agents/examples, where the library is in the dev extra; the others: `make test-ecosystem`."""
+"""agents/examples, if the library is in the dev extra. `make test-ecosystem` runs the others."""
 
 from __future__ import annotations
 
@@ -122,6 +122,7 @@ def test_recorded_run_shows_figures_in_pandas(
         for step in range(20):
             env.step(np.array([np.sin(step / 3.0), 0.1], np.float32))
     env.close()
+
     figures = main_of("recorded_run")(tape, plot)
     assert list(figures.columns) == [0, 1]
     assert 0.0 < figures.loc["measured after sent", 0] < 0.3

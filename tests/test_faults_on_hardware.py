@@ -30,7 +30,7 @@ FAULTS: dict[str, float | None] = {
     "silent": SILENT,
     "unplugged": LOST,
 }
-"""Faults, and the code with which an episode surely ends; None if it may go on."""
+"""Faults, and the code with which an episode surely ends. None if it may go on."""
 
 
 def make_env(device: str, fault: str) -> Any:
@@ -51,7 +51,7 @@ def make_env(device: str, fault: str) -> Any:
 
 
 def begin(env: Any) -> None:
-    """Reset; a fault during the reset is an error, and a later reset succeeds."""
+    """Reset until no fault happens during the reset."""
     for _ in range(20):
         with contextlib.suppress(LinkError):
             observation, info = env.reset(seed=1)

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from disk_tools import full_disk
+from warm_kernels import warm
 
 from acsar_gym import jit as compiled
 from acsar_gym.resources import hash_sources
@@ -32,7 +33,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def count_hits() -> int:
-    """Call a newly decorated function; return how often the cache had its code."""
+    """Call a newly decorated function. Return how often the cache had its code."""
     function: Any = compiled.loop(plus_one)
     assert function(1.0) == 2.0
     return sum(function.stats.cache_hits.values())
@@ -112,15 +113,7 @@ def test_loop_announces_a_long_compilation(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", warm_up.ENV_NAMES)
 def test_warm_up_leaves_nothing_to_compile(name: str, caplog: pytest.LogCaptureFixture) -> None:
-    worlds = {
-        "barn": "barn:1",
-        "obstacle_goal": "open:2",
-        "crowd": "crowd:2",
-        "dyna_barn": "dynabarn:2",
-        "path_follow": "smooth_path:2",
-    }.get(name)
-    options = {"worlds": worlds} if worlds else {}
-    done = warm_up.warm_env(name, options=options)
+    done = warm(name)
     assert done.worlds == {"point_goal": 0, "barn": 1}.get(name, 2)
     assert caplog.records == []
-    assert warm_up.warm_env(name, options=options).functions == 0
+    assert warm(name).functions == 0

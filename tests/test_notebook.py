@@ -1,4 +1,4 @@
-"""agents/examples/first_policy.ipynb: fast checks of its code; `make test-slow` executes it."""
+"""agents/examples/first_policy.ipynb: fast checks of its code. `make test-slow` executes it."""
 
 from __future__ import annotations
 

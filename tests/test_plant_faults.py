@@ -19,11 +19,12 @@ def area(sides: tuple[float, float] = (1.5, 2.0)) -> float:
 def test_faults_are_of_each_kind() -> None:
     faults = list_faults("area.py", SOURCE)
     changed = [
-        after
+        new
         for fault in faults
-        for before, after in zip(SOURCE.splitlines(), fault.apply(SOURCE).splitlines(), strict=True)
-        if before != after
+        for old, new in zip(SOURCE.splitlines(), fault.apply(SOURCE).splitlines(), strict=True)
+        if old != new
     ]
+
     head = "def area(sides: tuple[float, float] = "
     end = "    return "
     assert sorted(changed) == sorted(

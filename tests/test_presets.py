@@ -13,7 +13,7 @@ from acsar_gym.worlds.search import footprint_radius, shortest_path
 PRESETS = ("husky", "jackal")
 LINKS = ("planar", "bullet")
 TURN = {"husky": 1.87, "jackal": 4.0}
-"""Yaw rate of a full action [rad/s]; a Husky's wheels don't turn fast enough for its 2 rad/s."""
+"""Yaw rate of a full action [rad/s]. A Husky's wheels don't turn fast enough for its 2 rad/s."""
 
 
 @pytest.mark.parametrize("link", LINKS)
@@ -53,7 +53,7 @@ def test_presets_turn_on_the_spot_as_their_multiplier_says(name: str, link: str)
 @pytest.mark.parametrize("kind", ["clutter", "rooms", "barn"])
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_can_cross_worlds_made_for_them(name: str, kind: str) -> None:
-    """A Husky is as wide as most gaps of BARN; there it needs a difficulty below 0.25."""
+    """A Husky is as wide as most gaps of BARN. There it needs a difficulty below 0.25."""
     difficulty = 0.2 if (name, kind) == ("husky", "barn") else None
     radius = footprint_radius(RobotConfig.preset(name))
     world = Pool.of(f"{kind}:0-0", difficulty, radius)[0]

@@ -113,9 +113,9 @@ def test_launch_files_start_programs_with_options_that_they_have(path: Path) -> 
 
 @pytest.mark.parametrize("file", ["driver.yaml", "simulation.yaml"])
 def test_parameter_files_have_parameters_of_the_driver(file: str) -> None:
-    known = {*driver.DRIVER_PARAMETERS, *driver.NODE_PARAMETERS, "cmd_vel_timeout"}
+    names = {*driver.DRIVER_PARAMETERS, *driver.NODE_PARAMETERS, "cmd_vel_timeout"}
     parameters = read_parameters(file)
-    assert parameters.keys() <= known
+    assert parameters.keys() <= names
     assert parameters["robot"] == "acsar"
     assert parameters["cmd_vel_timeout"] == ACSAR.firmware.command_timeout
 
@@ -125,7 +125,7 @@ def test_parameter_files_have_parameters_of_the_driver(file: str) -> None:
         assert yaml.safe_load(value) == getattr(ACSAR, name), name
     if file == "driver.yaml":
         not_listed = {"name", "serial_port", *driver.COVARIANCES, "scene", "start"}
-        assert {*parameters, *commented, *not_listed} == known
+        assert {*parameters, *commented, *not_listed} == names
 
 
 def test_rviz_shows_what_the_nodes_publish() -> None:

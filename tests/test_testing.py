@@ -11,7 +11,7 @@ from acsar_gym.testing import EmulatedBoard, ScriptedLink, emulated_board, wait_
 PATIENT = RobotConfig().with_(connect_timeout=20.0, feedback_timeout=5.0, watchdog_timeout=2.0)
 
 
-def test_a_scripted_board_answers_what_is_written() -> None:
+def test_scripted_link_answers_what_is_written() -> None:
     link = ScriptedLink(protocol.encode((1.0, 2.0, 3.0, 4.0)), then=protocol.encode)
     with Robot(link, RobotConfig()) as robot:
         for _ in range(100):
@@ -22,7 +22,7 @@ def test_a_scripted_board_answers_what_is_written() -> None:
 
 
 @pytest.mark.usefixtures("deadline")
-def test_an_emulated_board_is_driven_pulled_and_plugged() -> None:
+def test_emulated_board_is_driven_pulled_and_plugged() -> None:
     with emulated_board(PATIENT) as board:
         assert isinstance(board, EmulatedBoard)
         with Robot(open_link(board.device, PATIENT), PATIENT) as robot:
@@ -38,7 +38,7 @@ def test_an_emulated_board_is_driven_pulled_and_plugged() -> None:
         assert board.device.startswith("/dev/")
 
 
-def test_what_doesn_t_start_or_hold_is_one_line() -> None:
+def test_emulated_board_and_wait_until_fail_in_one_line() -> None:
     with (
         pytest.raises(LinkError, match="the emulator didn't start"),
         emulated_board(body="balloon"),

@@ -95,7 +95,7 @@ def test_lidar_over_a_tty_sees_what_the_simulation_sees(
 
 
 def test_movers_are_seen_over_a_tty(start_emulator: StartEmulator, config: RobotConfig) -> None:
-    """Rays see them walk by; how near they came only the emulator knows."""
+    """Rays see them walk by. How near they came only the emulator knows."""
     emulated = start_emulator("--world", WALKERS, "--key", "0.3", "--lidar")
     port, lidar = read_devices(emulated)
     config = config.with_(lidar={"noise": 0.0, "timeout": 5.0})

@@ -39,7 +39,7 @@ def run(client: int, seconds: float) -> None:
         pybullet.stepSimulation(physicsClientId=client)
 
 
-def test_in_pybullet_it_weighs_what_it_should_and_rolls_on_its_wheels(client: int) -> None:
+def test_urdf_rolls_on_its_wheels_in_pybullet(client: int) -> None:
     config = RobotConfig.preset("acsar")
     robot = pybullet.loadURDF(str(URDF), [0.0, 0.0, 0.005], physicsClientId=client)
     links = {"base_footprint": -1}
@@ -48,13 +48,18 @@ def test_in_pybullet_it_weighs_what_it_should_and_rolls_on_its_wheels(client: in
         links[info[12].decode()] = joint
     masses = (pybullet.getDynamicsInfo(robot, n, physicsClientId=client)[0] for n in links.values())
     assert sum(masses) == pytest.approx(config.body.mass)
+
     run(client, 0.5)
     contacts = pybullet.getContactPoints(robot, physicsClientId=client)
     assert {contact[3] for contact in contacts} == {links[wheel] for wheel in WHEELS}
     for wheel in WHEELS:
-        mode, joint = pybullet.VELOCITY_CONTROL, links[wheel]
         pybullet.setJointMotorControl2(
-            robot, joint, mode, targetVelocity=SPEED, force=1.5, physicsClientId=client
+            robot,
+            links[wheel],
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=SPEED,
+            force=1.5,
+            physicsClientId=client,
         )
     run(client, SECONDS)
     (x, y, z), _ = pybullet.getBasePositionAndOrientation(robot, physicsClientId=client)
@@ -62,13 +67,13 @@ def test_in_pybullet_it_weighs_what_it_should_and_rolls_on_its_wheels(client: in
     assert (y, z) == pytest.approx((0.0, 0.0), abs=0.005)
 
 
-def test_urdf_parameters_and_preset_agree() -> None:
+def test_urdf_parameters_agree_with_the_preset() -> None:
     loaded = RobotConfig.load(URDF)
     assert loaded.serial_port == "/dev/ttyUSB0"
     assert loaded.with_(serial_port=None) == RobotConfig.preset("acsar")
 
 
-def test_joints_stand_where_the_parameters_say() -> None:
+def test_urdf_joints_are_placed_as_the_parameters_say() -> None:
     config = RobotConfig.preset("acsar")
     root = ElementTree.fromstring(URDF.read_text())
     (origin,) = root.iterfind("joint[@name='front_left_wheel_joint']/origin")

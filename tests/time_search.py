@@ -74,8 +74,8 @@ def search_time(
         reached = binary_dilation(reached, SQUARE if step % 2 else CROSS) & free
         for number, reach in enumerate(reaches):
             mover = motions.movers[0, number]
-            for part in (0.5, 1.0):  # a mover covers half a cell or so between two looks
-                clock = (step - 1 + part) * period + draw_offset(mover, number, key)
+            for share in (0.5, 1.0):  # a mover covers half a cell or so between two looks
+                clock = (step - 1 + share) * period + draw_offset(mover, number, key)
                 place = locate_mover(mover, motions.pieces[0], clock)[:2]
                 reached &= ((centres - place) ** 2).sum(axis=-1) >= reach**2
         if (reached & is_goal).any():

@@ -15,11 +15,11 @@ HASTY = 0.5
 
 
 def children() -> list[psutil.Process]:
-    """Watchdogs of this process, living and dead; a dead process has no command line."""
+    """Watchdogs of this process, living and dead. A dead process has no command line."""
 
     def watches(process: psutil.Process) -> bool:
         with contextlib.suppress(psutil.Error):
-            return any("watchdog_child" in part for part in process.cmdline())
+            return any("watchdog_child" in word for word in process.cmdline())
         return True
 
     return [child for child in psutil.Process().children() if watches(child)]

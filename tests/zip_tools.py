@@ -21,7 +21,7 @@ PLACES = ("data", "policy.pth", "pytorch_variables.pth", "policy.optimizer.pth")
 
 
 def algorithms() -> dict[str, Any]:
-    """stable-baselines3's classes by their names; importing them takes seconds."""
+    """stable-baselines3's classes by their names. Importing them takes seconds."""
     import stable_baselines3
 
     return {name: getattr(stable_baselines3, name) for name in NAMES}

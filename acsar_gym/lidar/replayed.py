@@ -31,7 +31,7 @@ class ReplayedLidar:
         self._newest = None
         if self._link.truth is not None:
             draw_episode(rng)  # as the simulated LiDAR did in the recording
-            self.oldest = min(self._tape.oldest_measurement(), OLDEST_SIMULATED)
+            self.oldest = OLDEST_SIMULATED
 
     def scan(self) -> Revolution:
         """Return the revolution that was the newest. LidarError if none was recorded."""

@@ -135,13 +135,9 @@ class RosLidar:
         patience = min(STATIC_TIMEOUT, 0.5 * config.connect_timeout)
         if config.lidar_yaw is not None and waited > patience:
             return Mount(yaw=config.lidar_yaw)
-        chain = [frame]
-        while parent and parent not in chain:
-            chain.insert(0, parent)
-            parent, _ = self._transforms.get(parent, ("", None))
         raise LidarError(
             f"{self.topic}: no transform from {show_value(base)} to its frame {show_value(frame)} "
-            f"(/tf_static has {' -> '.join(chain)})",
+            f"(/tf_static has {parent or 'nothing'} -> {frame})",
             "write the LiDAR's pose on the robot into its file: lidar_x_offset, lidar_y_offset and "
             f"lidar_yaw, as 'ros2 run tf2_ros tf2_echo {base} {frame}' shows them",
         )

@@ -173,7 +173,8 @@ def measure_revolution(
         When the revolution ended [s].
     """
     pose = ring.rows[ring.newest]
-    x, y = pose[PLACE_X], pose[PLACE_Y]
+    x = pose[PLACE_X]
+    y = pose[PLACE_Y]
     cos, sin = cos_sin(pose[HEADING])
     number: float = np.floor((pose[TIME] - traits.start) * traits.scan_rate - traits.phase)
     ended = traits.start + (number + traits.phase) / traits.scan_rate
@@ -296,7 +297,8 @@ def see_passers(
 
         # A disc that contains the mover at all times of the revolution.
         width = radius + margin + SPEED_SHARE * movers[m, SPEED] * elapsed
-        dx, dy = states[m, X] - x, states[m, Y] - y
+        dx = states[m, X] - x
+        dy = states[m, Y] - y
         jumps = may_jump(movers[m], started + states[m, CLOCK], elapsed)
         reach = rays.farthest + width
         if dx * dx + dy * dy > reach * reach and not jumps:
@@ -331,7 +333,8 @@ def see_passers(
                     to_y = states[m, Y] + (time - now) * states[m, VY]
                 else:
                     to_x, to_y = find_passer(passers, m, ring, time=time, period=rays.period)
-                dx, dy = to_x - x, to_y - y
+                dx = to_x - x
+                dy = to_y - y
                 ox = dx * cos + dy * sin - beams.origins[k, 0]
                 oy = dy * cos - dx * sin - beams.origins[k, 1]
                 along = ox * directions[k, 0] + oy * directions[k, 1]

@@ -34,9 +34,6 @@ class RecordedScans(Protocol):
             Its end [s], and bearings [rad], distances [m] and times [s], of shape (3, n).
         """
 
-    def oldest_measurement(self) -> float:
-        """Return the largest age of a measurement whose revolution is the newest one [s]."""
-
 
 class Link:
     """A connection to a robot, real or simulated. Time passes only in `advance`.

@@ -94,12 +94,11 @@ def _find_files(path: Path) -> list[Path]:
     if not files:
         raise ConfigError(f"{path}: holds no ROS 2 bag: no .mcap or .db3")
 
-    def number(file: Path) -> tuple[int, str]:
-        """The number at the end of a name such as "bag_10.mcap.zstd"."""
-        digits = re.search(r"(\d+)\.(mcap|db3)", file.name)
-        return int(digits[1]) if digits else 0, file.name
+    def pad(file: Path) -> str:
+        """The name with numbers of one length: "bag_10.mcap" follows "bag_9.mcap"."""
+        return re.sub(r"\d+", lambda digits: digits[0].zfill(20), file.name)
 
-    return sorted(files, key=number)
+    return sorted(files, key=pad)
 
 
 def _prepare(source: Path, folder: Path) -> Path:

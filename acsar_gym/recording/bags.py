@@ -13,6 +13,7 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -104,9 +105,12 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
     converter = BagConverter(robot, wraps=wraps)
     roles = {topic: role for role, topic in chosen.items()}
 
+    # The bag has its own clock, and no process that drives.
     header = make_header(robot, {"command": "bag", "bag": path.name, "topics": chosen})
     header |= {"process": 0, "source": files.compute_hash()}
-    header["created"] = {"wall": min(surveys[topic].start for topic in roles), "monotonic": 0}
+    header["created"] = {"wall": min(surveys[topic].times[0] for topic in roles), "monotonic": 0}
+
+    # Topics are converted in the order of their messages, as a recorder gets events.
     writer = RecordingWriter(target, robot, header)
     tabulator = Tabulator([writer])
     for message in files.read_messages():
@@ -128,31 +132,20 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
         warnings.warn(escape_unprintable(problem), RecordingWarning, stacklevel=3)
 
 
+@dataclass
 class TopicSurvey:
-    """What is known of a topic before it is converted.
+    """What is known of a topic before it is converted."""
 
-    Attributes:
-        kind: Type of its messages.
-        start: When its first message was recorded [ns].
-        joints: Names of joints in the first message.
-        has_velocities: Whether a message has velocities of joints.
-    """
-
-    def __init__(self, kind: str, start: int) -> None:
-        self.kind = kind
-        self.start = start
-        self.joints: list[str] = []
-        self.has_velocities = False
-        self._largest = 0.0
-        self._times: list[int] = []
-
-    def add(self, time: int, content: Any) -> None:
-        """Note joint states, up to the first message with velocities."""
-        self.joints = self.joints or [str(name) for name in content.name]
-        self.has_velocities = has_velocities(content)
-        positions = [abs(position) for position in content.position if math.isfinite(position)]
-        self._largest = max(self._largest, *positions, 0.0)
-        self._times.append(time)
+    kind: str
+    """Type of its messages."""
+    times: list[int] = field(default_factory=list)
+    """When its messages were recorded [ns]."""
+    joints: list[str] = field(default_factory=list)
+    """Names of joints in the first message."""
+    has_velocities: bool = False
+    """Whether a message has velocities of joints."""
+    largest: float = 0.0
+    """Largest position in messages without velocities, either sign [rad]."""
 
     def check_wraps(self, name: str, robot: RobotConfig) -> bool:
         """Whether positions may wrap at full turns.
@@ -160,9 +153,9 @@ class TopicSurvey:
         Raises:
             ConfigError: It is unknown how far wheels turned between two positions.
         """
-        if self.has_velocities or self._largest >= WRAPPING_RANGE:
+        if self.has_velocities or self.largest >= WRAPPING_RANGE:
             return self.has_velocities
-        pause = float(np.median(np.diff(self._times))) / 1e9 if len(self._times) > 1 else 0.0
+        pause = float(np.median(np.diff(self.times))) / 1e9 if len(self.times) > 1 else 0.0
         if pause * robot.max_wheel_speed > math.pi:
             raise ConfigError(
                 f"{name} has positions without velocities, {1.0 / pause:.1f} times a "
@@ -181,11 +174,16 @@ def survey_topics(files: BagFiles) -> dict[str, TopicSurvey]:
     """Return what is known of each topic of a bag."""
     surveys: dict[str, TopicSurvey] = {}
     for message in files.read_messages():
-        survey = surveys.setdefault(message.topic, TopicSurvey(message.kind, message.time))
-        if message.kind == JOINT_STATE and not survey.has_velocities:
-            content = deserialize(message)
-            if content is not None:
-                survey.add(message.time, content)
+        survey = surveys.setdefault(message.topic, TopicSurvey(message.kind))
+        survey.times.append(message.time)
+        if message.kind != JOINT_STATE or survey.has_velocities:
+            continue
+        content = deserialize(message)
+        if content is not None:
+            survey.joints = survey.joints or [str(name) for name in content.name]
+            survey.has_velocities = has_velocities(content)
+            positions = np.abs(content.position)
+            survey.largest = positions[np.isfinite(positions)].max(initial=survey.largest)
     return surveys
 
 
@@ -228,6 +226,8 @@ def choose_topics(
             and (not wanted or any(is_below(name, prefix) for prefix in wanted))
             and (role != "joint states" or {*robot.ros_joints} <= {*survey.joints})
         ]
+
+        # The usual name wins, then the usual name of any robot.
         names = [name for name in names if name.endswith(usual)] or names
         names = [name for name in names if name == usual] or names
         if len(names) > 1:
@@ -294,6 +294,7 @@ class BagConverter:
             self._first = time
             self.events.append(Began(0.0, time, {}))
         self._newest = max(self._newest, (time - self._first) / 1e9)
+
         if role == "joint states":
             self._end_period(self._read_joints(content))
         elif role == "odometry":
@@ -315,10 +316,10 @@ class BagConverter:
         if not math.isfinite(linear + angular):
             return None
         separation = self._robot.effective_separation
-        right, left = kinematics.compute_sides(
+        right_side, left_side = kinematics.compute_sides(
             linear, angular, *self._robot.wheel_radii, separation, FASTEST_WHEEL
         )
-        return right, left, left, right
+        return right_side, left_side, left_side, right_side
 
     def _encode(self, speeds: Speeds, letters: WheelLetters | None) -> bytes:
         return encode(letters.to_wire(speeds) if letters else speeds)

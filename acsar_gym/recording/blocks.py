@@ -16,6 +16,7 @@ import math
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from itertools import accumulate
 from typing import IO, Annotated, Any, NamedTuple
 
 import numpy as np
@@ -112,10 +113,9 @@ def unpack_table(block: Block, name: str) -> Table:
         import zstandard  # noqa: PLC0415 - optional
 
     *shape, size = block.head.tables[name]
-    names = list(block.head.tables)
-    sizes = [sizes[-1] for sizes in block.head.tables.values()]
-    first = sum(sizes[: names.index(name)])
-    packed = block.data[first : first + size]
+    sizes = accumulate(sizes[-1] for sizes in block.head.tables.values())
+    end = dict(zip(block.head.tables, sizes, strict=True))[name]
+    packed = block.data[end - size : end]
     try:
         # A frame states how long its content is. The decompressor believes it.
         if zstandard.frame_content_size(packed) != math.prod(shape) * TABLES[name].itemsize:

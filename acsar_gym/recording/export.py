@@ -55,6 +55,7 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with contextlib.ExitStack() as stack:
+            # A file is opened with its first rows, whose columns are those of the file.
             for name, columns in iterate_tables(recording):
                 table = pa.table(columns)
                 if not len(table):
@@ -82,6 +83,7 @@ def make_tables(recording: Recording) -> dict[str, TableColumns]:
         parts.setdefault(name, []).append(columns)
     tables: dict[str, TableColumns] = {}
     for name, blocks in parts.items():
+        # Tables without rows don't know how long an observation is.
         filled = [block for block in blocks if len(block["stamp"])] or blocks[:1]
         tables[name] = {key: np.concatenate([b[key] for b in filled]) for key in filled[0]}
     return tables
@@ -91,8 +93,8 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
     """Yield names and rows of tables, in parts of moderate size. See `make_tables`."""
     names: dict[str, list[str]] = {}
     for number, episode in enumerate(recording.episodes):
-        for part in episode.split():
-            for name, columns in _list_tables(part):
+        for piece in episode.split():
+            for name, columns in _list_tables(piece):
                 stamps = columns["stamp"]
                 if len(stamps) and names.setdefault(name, list(columns)) != list(columns):
                     raise ConfigError(f"the episodes have different {name}: they fit no table")

@@ -53,8 +53,10 @@ LOG_ERROR = 40  # level of a rcl_interfaces/msg/Log
 MARKER_HEIGHT = 1.7  # of the cylinder that shows a mover [m]
 MARKER_COLOUR = {"color.r": 0.56, "color.g": 0.27, "color.b": 0.68, "color.a": 0.8}
 CYLINDER = 3  # type of a marker
+PROBE = 0x5A5A0000  # a whole number that no message contains
 WORST = {"/safety_reason": "reason", "/lateness": "lateness", "/feedback_age": "feedback_age"}
 LATCHED = ("/tf_static",)
+UPRIGHT = {"transform.rotation.w": 1.0}
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -193,7 +195,7 @@ def find_stamped(message: Any) -> Iterator[Any]:
 class Template:
     """Makes messages of one form: the bytes of one message, with other numbers at their places.
 
-    The place of a number is found by serializing the message without it and with it.
+    The place of a number is found by its value in a serialized message.
 
     Args:
         message: A message of the form.
@@ -202,27 +204,23 @@ class Template:
 
     def __init__(self, message: Any, numbers: Mapping[str, Table]) -> None:
         fields = [find_field(message, path) for path in numbers]
-        for (owner, name), column in zip(fields, numbers.values(), strict=True):
-            if column.ndim > 1:  # a list, which has a length from now on
-                setattr(owner, name, np.zeros(column.shape[1:], getattr(owner, name).dtype))
         stamped = list(find_stamped(message))
         fields += [(owner.stamp, name) for owner in stamped for name in ("sec", "nanosec")]
-        serialize = partial(load_typestore().serialize_cdr, message, message.__msgtype__)
-        self._plain = np.frombuffer(serialize(), np.uint8)
         self._stamps = len(stamped)
-        self._places: list[tuple[str, int]] = []
 
+        # Each number gets a value that is nowhere else in the message.
+        probes: list[Table] = []
         columns = self._add_stamps(numbers, np.zeros(1, np.int64))
         for (owner, name), column in zip(fields, columns, strict=True):
-            # No byte of these is zero, as a float of any size and as an integer.
-            is_integer = column.dtype.kind == "i"
-            blank = getattr(owner, name)
-            setattr(owner, name, blank + (0x01010101 if is_integer else 1.0 / 3.0))
-            changed = np.frombuffer(serialize(), np.uint8)
-            setattr(owner, name, blank)
-            places = np.flatnonzero(self._plain != changed)
-            size = len(places) // column[0].size
-            self._places.append((f"<{'i' if is_integer else 'f'}{size}", int(places[0])))
+            probe = np.array(PROBE + len(probes), np.int32)
+            if column.dtype.kind != "i":
+                kind = getattr(getattr(owner, name), "dtype", np.float64)
+                probe = np.full(column.shape[1:], len(probes) + 1.0 / 3.0, kind)
+            setattr(owner, name, probe if probe.ndim else probe.item())
+            probes.append(probe)
+        data = bytes(load_typestore().serialize_cdr(message, message.__msgtype__))
+        self._places = [(probe.dtype, data.index(probe.tobytes())) for probe in probes]
+        self._plain = np.frombuffer(data, np.uint8)
 
     def _add_stamps(self, numbers: Mapping[str, Table], times: NDArray[np.int64]) -> list[Table]:
         return [*numbers.values(), *self._stamps * np.divmod(times, NANOSECONDS)]
@@ -268,6 +266,7 @@ def list_series(tables: Tables, head: Mapping[str, Any], config: RobotConfig) ->
     exchanges = tables["exchanges"]
     fix_truth = partial(_fix_odometry, WORLD_FRAME)
     yield Series("/truth", ODOMETRY, exchanges["stamp"], _list_odometry(exchanges), fix_truth)
+    # Movers are recorded in each period, which is more than a viewer needs.
     movers = tables["movers"]
     rows = movers["exchange"] % every == 0
     states = tables["mover_states"][rows]
@@ -303,8 +302,7 @@ def _show_ticks(ticks: Table, config: RobotConfig, every: int) -> Iterator[Serie
     moved = _list_pose(
         ticks, "transforms.0.transform.translation", "transforms.0.transform.rotation"
     )
-    fix_frames = partial(_fix_transforms, (config.odom_frame, BASE_FOOTPRINT))
-    yield Series("/tf", TRANSFORMS, stamps, moved, fix_frames)
+    yield Series("/tf", TRANSFORMS, stamps, moved, partial(_fix_moving, config))
     joints = {"position": ticks["angles"], "velocity": ticks["speeds"]}
     yield Series("/joint_states", JOINTS, stamps, joints, lambda: {"name": JOINT_NAMES})
     yield Series("/cmd_vel", TWIST, stamps, _list_twist(ticks["asked"]))
@@ -355,29 +353,31 @@ def _fix_odometry(frame: str) -> dict[str, Any]:
     }
 
 
-def _fix_transforms(*frames: tuple[str, str]) -> dict[str, Any]:
-    """Transforms from the second to the first of frames, all zero."""
-    kind = "geometry_msgs/msg/TransformStamped"
-    return {
-        "transforms": [
-            make_message(kind, **{"header.frame_id": parent, "child_frame_id": child})
-            for parent, child in frames
-        ]
-    }
+def _fix_moving(config: RobotConfig) -> dict[str, Any]:
+    return {"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]}
 
 
 def _fix_mounts(config: RobotConfig) -> dict[str, Any]:
     """The places of base and LiDAR."""
     base = config.base_frame
-    fixed = _fix_transforms((BASE_FOOTPRINT, base), (base, config.lidar_frame))
-    axle = (0.0, 0.0, config.wheel_radius)
-    mount = (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset)
-    for stamped, place in zip(fixed["transforms"], (axle, mount), strict=True):
-        stamped.transform.rotation.w = 1.0
-        stamped.transform.translation = make_message(
-            "geometry_msgs/msg/Vector3", **dict(zip("xyz", place, strict=True))
-        )
-    return fixed
+    mount = {
+        "transform.translation.x": config.lidar_x_offset,
+        "transform.translation.y": config.lidar_y_offset,
+        "transform.translation.z": config.lidar_z_offset,
+        **UPRIGHT,
+    }
+    axle = {"transform.translation.z": config.wheel_radius, **UPRIGHT}
+    return {
+        "transforms": [
+            _make_transform(BASE_FOOTPRINT, base, **axle),
+            _make_transform(base, config.lidar_frame, **mount),
+        ]
+    }
+
+
+def _make_transform(parent: str, child: str, **fields: float) -> Any:
+    frames = {"header.frame_id": parent, "child_frame_id": child}
+    return make_message("geometry_msgs/msg/TransformStamped", **frames, **fields)
 
 
 def _fix_scan(config: RobotConfig) -> dict[str, Any]:
@@ -423,14 +423,12 @@ class Publisher:
     ) -> Iterator[tuple[Series, int, bytes]]:
         """Yield series, time [ns] and content of the messages of a block. See `Sink.write`."""
         for series in list_series(tables, head, self._config):
-            stamps = series.stamps
-            numbers = dict(series.numbers)
-            for column in list(numbers.values())[:1]:
-                is_known = ~np.isnan(column).all(axis=tuple(range(1, column.ndim)))
-                stamps = stamps[is_known]
-                numbers = {path: values[is_known] for path, values in numbers.items()}
-            if not len(stamps):
+            # The first numbers are NaN in rows that other programs needn't see.
+            first = next(iter(series.numbers.values()), series.stamps)
+            is_shown = ~np.isnan(first).all(axis=tuple(range(1, first.ndim)))
+            if not is_shown.any():
                 continue
+            numbers = {path: column[is_shown] for path, column in series.numbers.items()}
 
             # Messages of one form differ in their numbers only.
             shapes = [values.shape[1:] for values in numbers.values()]
@@ -438,7 +436,7 @@ class Publisher:
             if form not in self._templates:
                 message = make_message(series.kind, **series.fix())
                 self._templates[form] = Template(message, numbers)
-            times = np.rint(stamps * 1e9).astype(np.int64) + head["offset"]
+            times = np.rint(series.stamps[is_shown] * 1e9).astype(np.int64) + head["offset"]
             times = np.maximum(times, 0)
             messages = self._templates[form].fill(times, numbers)
             for moment, data in zip(times.tolist(), messages, strict=True):

@@ -87,6 +87,7 @@ class StoredTables(Tables):
                 if name in block.head.tables:
                     parts.append(unpack_table(block, name))
 
+            # Blocks have a table only if it has rows.
             empty = super().__missing__(name)
             shapes = {table.shape[1:] for table in parts} or {empty.shape[1:]}
             if len(shapes) > 1 or len(shapes.pop()) != empty.ndim - 1:
@@ -154,6 +155,7 @@ def read_quietly(path: Path) -> Recording:
             if head.episode >= 0:
                 stored.setdefault(head.episode, StoredTables(path)).add(block)
 
+        # The header is in the first block and in the last.
         if header is None or not stored:
             raise ConfigError(_explain_nothing(file, header, damages, is_whole=dropped is not None))
         if header.get("format") != FORMAT:

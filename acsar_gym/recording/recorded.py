@@ -72,12 +72,14 @@ class RecordedLink(LinkWrapper):
         link = self.inner
         data = link.advance(period)
         self._now = now = link.now()
+        # Links that don't know when their bytes arrived report nothing.
         pieces: Arrivals = tuple(link.arrivals)
         if b"".join([piece for _, piece in pieces]) != data:
             pieces = ((now, data),)
 
         truth = link.truth
         true_state = UNKNOWN_TRUTH if truth is None else (truth.pose, truth.twist, truth.contact)
+        # All rows of a period are one event, which is recorded as a whole or dropped.
         number = self._recorder.number
         counts = (len(self._writes), len(pieces))
         rows: dict[str, Any] = {
@@ -106,7 +108,7 @@ class RecordedLink(LinkWrapper):
 
     def _record_last_writes(self) -> None:
         """Record what was sent since the last period of the episode."""
-        if self._writes and self._recorder.has_begun:
+        if self._writes:
             self._recorder.add({"sent": self._writes})
         self._writes = []
 

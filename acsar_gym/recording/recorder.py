@@ -30,7 +30,7 @@ from acsar_gym.recording.events import NO_ACTION, Began, Event, Rows
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.recorded import RecordedLink
 from acsar_gym.recording.tabulator import Sink, Tabulator
-from acsar_gym.recording.writer import RecordingWriter, check_target, next_number
+from acsar_gym.recording.writer import RecordingWriter, check_target
 from acsar_gym.robot import DriveObserver, Robot, StepResult
 from acsar_gym.sensors.lidar import find_lidar
 
@@ -40,8 +40,7 @@ ROOM_POLL = 0.001  # how often a simulation looks whether the writer has caught 
 BLOCK_PERIOD = 0.5  # how often events are written, so that they survive a crash [s]
 BLOCK_EVENTS = 300  # most events of a block: about a second of simulated time
 LARGEST = float(np.finfo(np.float32).max)  # largest number of an action
-HANG_WAIT = 1.0  # how often the end looks whether the writer makes progress [s]
-HANG_WAITS = 10  # a writer hangs after this number of looks (a suspended program loses one look)
+CLOSE_TIMEOUT = 60.0  # longest wait for the writer at the end: a full queue takes about 3 s [s]
 
 SinkMaker = Callable[[RobotConfig, Mapping[str, Any]], Sink]
 """Makes a sink of the robot's config and the header of the recording."""
@@ -58,7 +57,6 @@ class Recorder(DriveObserver):
     Attributes:
         dropped: Number of events that were dropped.
         number: Number of the episode's next exchange.
-        has_begun: Whether there has been an episode.
         problem: Why the recording isn't whole. None if it is.
 
     Args:
@@ -94,7 +92,6 @@ class Recorder(DriveObserver):
         self.about = dict(about or {})
         self.dropped = 0
         self.number = 0
-        self.has_begun = False
         self.problem: str | None = None
 
         self._capacity = capacity
@@ -103,14 +100,12 @@ class Recorder(DriveObserver):
         self._info: Mapping[str, Any] = {}
         self._clock_due = 0.0
         self._waits = False
-        self._is_copy = False
         self._scan_stamp = -math.inf
         self._revolution: Any = None
 
         self._thread: threading.Thread | None = None
         self._process = 0
         self._open_sinks: list[Sink] = []
-        self._tabulator = Tabulator(self._open_sinks)
         self._wake = threading.Event()
         self._is_ending = False
         self._failure = ""
@@ -146,6 +141,7 @@ class Recorder(DriveObserver):
 
     def after_tick(self, robot: Robot, linear: float, angular: float) -> None:
         """Record a control period, and the scan if no step reads it for a while."""
+        # Plain tuples cost the control loop least. Their order is that of `TABLES`.
         odometry = robot.odometry
         tick = (
             self.number - 1,
@@ -172,6 +168,7 @@ class Recorder(DriveObserver):
         if lidar is None or stamp - self._scan_stamp <= pause:
             return
 
+        # Several scans may be made of the same revolution, which is recorded once.
         self._scan_stamp = stamp
         exchange = self.number - 1
         rows: dict[str, Any] = {"scans": (exchange, stamp), "ranges": lidar.scan.ranges}
@@ -237,10 +234,9 @@ class Recorder(DriveObserver):
             self._warn()
             return
 
+        # The link has been opened: from here on a file of the same name is replaced.
         header = make_header(config, self.about)
         if self.path is not None:
-            if self._is_copy and self.path.exists():
-                self.path = next_number(self.path)
             self._open_sinks.append(RecordingWriter(self.path, config, header))
         self._open_sinks += [make(config, header) for make in self._sinks]
         self._process = os.getpid()
@@ -253,28 +249,27 @@ class Recorder(DriveObserver):
 
     def _write_blocks(self) -> None:
         """Write about twice a second, until the end or an error. The robot drives on after it."""
+        tabulator = Tabulator(self._open_sinks)
         is_last = False
         try:
             while not is_last:
                 self._wake.wait(BLOCK_PERIOD)
                 self._wake.clear()
                 is_last = self._is_ending
-                for _ in range(0, len(self._queue), BLOCK_EVENTS):
-                    self._tabulator.add(self._take_events())
+                # What comes meanwhile is written in the next round, so that each round ends.
+                for waiting in range(len(self._queue), 0, -BLOCK_EVENTS):
+                    count = min(waiting, BLOCK_EVENTS)
+                    tabulator.add([self._queue.popleft() for _ in range(count)])
                 for sink in self._open_sinks:
                     sink.flush()
-            self._tabulator.add((), is_last=True)
+
+            tabulator.add((), is_last=True)
             for sink in self._open_sinks:
                 sink.close(self.dropped)
         except Exception as error:  # noqa: BLE001 - reported with the next reset
             self._failure = f"{explain_error(error)}; what follows isn't recorded"
             for sink in self._open_sinks:
                 sink.abandon()
-
-    def _take_events(self) -> list[Event]:
-        """Take events that wait, as many as fit in a block."""
-        count = min(len(self._queue), BLOCK_EVENTS)
-        return [self._queue.popleft() for _ in range(count)]
 
     def describe(self, info: Mapping[str, Any], **about: Any) -> None:
         """Describe the next episode.
@@ -296,26 +291,27 @@ class Recorder(DriveObserver):
             stamped: Whether lines have the times at which they were measured. See `Link.stamped`.
         """
         self.number = 0
-        self.has_begun = True
         self._waits = simulated
         self._clock_due = stamp + 1.0
         info = {**self._info, "stamped": True} if stamped else self._info
         self._queue.append(Began(stamp, time.time_ns(), info))
         self._info = {}
 
-    def add_period(self, stamp: float, rows: Rows) -> None:
+    def add_period(self, stamp: float, rows: dict[str, Any]) -> None:
         """Record the rows of a control period of the wire, and once a second the clocks."""
         self.number += 1
-        self.add(rows)
         if stamp >= self._clock_due:
             self._clock_due = stamp + 1.0
-            self.add({"clocks": (stamp, time.time_ns())})
+            rows["clocks"] = (stamp, time.time_ns())
+        self.add(rows)
 
     def add(self, rows: Rows) -> None:
         """Record rows, if there is room for them. A simulation waits for the writer first."""
         if len(self._queue) < self._capacity:
             self._queue.append(rows)
             return
+
+        # Wheels don't wait for a disk. Simulated time may.
 
         deadline = time.monotonic() + WRITER_TIMEOUT
         while len(self._queue) >= self._capacity:
@@ -329,7 +325,7 @@ class Recorder(DriveObserver):
         self._queue.append(rows)
 
     def close(self) -> None:
-        """Write what waits, however long it takes, and finish the file. Idempotent.
+        """Write what waits, and finish the file. Idempotent.
 
         Warns:
             RecordingWarning: The file couldn't be written.
@@ -342,14 +338,9 @@ class Recorder(DriveObserver):
             return
 
         self._wake.set()
-        looks = 0
-        while self._thread.is_alive() and looks < HANG_WAITS:
-            blocks = self._tabulator.blocks
-            self._thread.join(HANG_WAIT)
-            looks = looks + 1 if self._tabulator.blocks == blocks else 0
+        self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
-            hung = f"writing has hung for {HANG_WAIT * HANG_WAITS:g} s"
-            self._failure = f"{hung}; what waits is lost if the program ends now"
+            self._failure = f"not finished after {CLOSE_TIMEOUT:g} s: the rest may be lost"
         self._warn()
 
     def _warn(self) -> None:
@@ -359,20 +350,14 @@ class Recorder(DriveObserver):
             warnings.warn(self.problem, RecordingWarning, stacklevel=3)
 
     def __reduce__(self) -> tuple[Callable[..., Recorder], tuple[Any, ...]]:
-        """Copies haven't begun yet. If the file exists, they write a file with another number."""
-        return _copy_recorder, (self.path, self.about)
+        """Copies haven't begun yet."""
+        return Recorder, (self.path, self.about)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-
-def _copy_recorder(path: Path | None, about: dict[str, Any]) -> Recorder:
-    recorder = Recorder(path, about)
-    recorder._is_copy = True  # noqa: SLF001 - only copies are
-    return recorder
 
 
 _open_recorders: set[Recorder] = set()

@@ -12,6 +12,8 @@ import numpy as np
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links.base import Arrivals, Link, RecordedScans
+from acsar_gym.recording.blocks import Head
+from acsar_gym.recording.events import Tables
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.recorded import REPLAY
 from acsar_gym.recording.types import Episode, Floats, Movers, Recording
@@ -61,7 +63,7 @@ class ReplayLink(Link):
         self._path = Path(path)
         self._compare = compare
         self._recording: Recording | None = None
-        self._episode: Episode | None = None
+        self._episode = Episode(Head(), Tables())
         self._played = 0
         self._is_open = False
 
@@ -83,6 +85,8 @@ class ReplayLink(Link):
         self._periods = episode.exchanges
         self._write_ends = np.concatenate([[0], np.cumsum(self._periods["writes"])]).tolist()
         self._piece_ends = np.concatenate([[0], np.cumsum(self._periods["pieces"])]).tolist()
+
+        # People are where they were recorded, whatever the world's movers would do.
         has_movers = bool(len(episode.movers.stamps))
         self._crowd = RecordedCrowd(episode.movers, recording.config) if has_movers else None
 
@@ -125,12 +129,13 @@ class ReplayLink(Link):
 
     def write(self, data: bytes) -> None:
         """Take commands, which the next `advance` compares. If time was real, it goes on."""
-        _, episode = self._playing()
+        self._check_playing()
         number = self._write_ends[self._next_period] + self._written
         self._written += 1
         self._sent += data
-        if self.lateness is not None and number < len(episode.wire.sent_stamps):
-            self._now = max(self._now, float(episode.wire.sent_stamps[number]))
+        stamps = self._episode.wire.sent_stamps
+        if self.lateness is not None and number < len(stamps):
+            self._now = max(self._now, float(stamps[number]))
 
     def advance(self, period: float) -> bytes:
         """Return the bytes of the next period.
@@ -138,33 +143,35 @@ class ReplayLink(Link):
         Raises:
             LinkLostError: At the end of the episode, at a gap, and for other commands.
         """
-        recording, episode = self._playing()
-        self._check_next(recording, episode)
+        self._check_next(self._check_playing())
         number = self._next_period
         self._next_period += 1
         self._now = float(self._periods["stamp"][number])
         self._show(number)
 
+        wire = self._episode.wire
         pieces = slice(self._piece_ends[number], self._piece_ends[number + 1])
-        received = episode.wire.got[pieces]
-        stamps = episode.wire.got_stamps[pieces].tolist()
+        received = wire.got[pieces]
+        stamps = wire.got_stamps[pieces].tolist()
         self.arrivals = list(zip(stamps, received, strict=True))
+
+        # Feedback is an answer to the recorded commands only.
         sent = self._sent
         self._sent = b""
         self._written = 0
         writes = slice(self._write_ends[number], self._write_ends[number + 1])
-        recorded = b"".join(episode.wire.sent[writes])
+        recorded = b"".join(wire.sent[writes])
         if self._compare and sent != recorded:
             shown = sent[-SHOWN_BYTES:].strip().decode("latin-1")
             expected = recorded[-SHOWN_BYTES:].strip().decode("latin-1")
             raise LinkLostError(
-                f"{self._path}: other commands than recorded, {self._describe_place(episode)}: "
+                f"{self._path}: other commands than recorded, {self._describe_place()}: "
                 f"{shown!r}, not {expected!r}",
                 "was it made with this robot, goal and policy?",
             )
         return b"".join(received)
 
-    def _check_next(self, recording: Recording, episode: Episode) -> None:
+    def _check_next(self, recording: Recording) -> None:
         """Raise LinkLostError if the next period can't be played."""
         number = self._next_period
         if number >= len(self._periods):
@@ -179,19 +186,19 @@ class ReplayLink(Link):
             fix = f"{reason}: it can't be replayed from here on"
         else:
             return
-        raise LinkLostError(f"{self._path}: {problem}, {self._describe_place(episode)}", fix)
+        raise LinkLostError(f"{self._path}: {problem}, {self._describe_place()}", fix)
 
-    def _describe_place(self, episode: Episode) -> str:
+    def _describe_place(self) -> str:
         """Describe where the replay is, for messages."""
-        first = episode.stamps[:1].min(initial=math.inf)
+        first = self._episode.stamps[:1].min(initial=math.inf)
         tick = self._next_period - int(np.searchsorted(self._periods["stamp"], first))
         return f"tick {tick}" if tick > 0 else f"period {self._next_period} of the reset"
 
-    def _playing(self) -> tuple[Recording, Episode]:
-        is_playing = self._is_open and self._played
-        if not is_playing or self._recording is None or self._episode is None:
+    def _check_playing(self) -> Recording:
+        """Return the recording. Raises LinkLostError if no episode of it plays."""
+        if not (self._is_open and self._played and self._recording):
             raise LinkLostError(f"{self._path}: nothing plays", "call reset() first")
-        return self._recording, self._episode
+        return self._recording
 
     def now(self) -> float:
         """Return the recorded time [s]."""
@@ -207,29 +214,11 @@ class ReplayLink(Link):
 
         Measurements are (3, n), as in `Revolutions.measured`. None if there is no revolution.
         """
-        if self._episode is None:
-            return None
         revolutions = self._episode.revolutions
         number = int(np.searchsorted(revolutions.exchanges, self._next_period)) - 1
         if number < 0:
             return None
         return float(revolutions.stamps[number]), revolutions.measured[number]
-
-    def oldest_measurement(self) -> float:
-        """Return the largest age of a measurement while its revolution is the newest one [s]."""
-        if self._episode is None or not len(self._periods):
-            return 0.0
-
-        # A revolution is the newest one until the next revolution is read.
-        revolutions = self._episode.revolutions
-        last = len(self._periods) - 1
-        periods = np.clip(np.append(revolutions.exchanges[1:], last), 0, last)
-        ends: list[float] = self._periods["stamp"][periods].tolist()
-        ages = [
-            end - float(measured[2].min(initial=end))
-            for end, measured in zip(ends, revolutions.measured, strict=False)
-        ]
-        return max(ages, default=0.0)
 
     def __reduce__(self) -> tuple[Callable[..., ReplayLink], tuple[Path]]:
         """Copy with the replay at its start."""

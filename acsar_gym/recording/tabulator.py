@@ -49,13 +49,9 @@ class Tabulator:
 
     Args:
         sinks: What gets the blocks.
-
-    Attributes:
-        blocks: Number of blocks that all sinks have got.
     """
 
     def __init__(self, sinks: Sequence[Sink]) -> None:
-        self.blocks = 0
         self._sinks = sinks
         self._waiting: list[Rows] = []
         self._opening: dict[str, Any] = {}
@@ -110,7 +106,6 @@ class Tabulator:
         self._newest = max(self._newest, round(newest * 1e9) + head["offset"])
         for sink in self._sinks:
             sink.write(head, tables)
-        self.blocks += 1
 
 
 def stack_rows(events: Iterable[Rows]) -> Tables:

@@ -1,5 +1,7 @@
 """What a recording holds, as it is read back: episodes, and the bytes of the wire."""
 
+# ruff: noqa: RUF009 - the fields of an episode are descriptors, not defaults
+
 from __future__ import annotations
 
 from array import array
@@ -185,8 +187,13 @@ def _list_scans(episode: Episode) -> Scans:
 
 def _list_movers(episode: Episode) -> Movers:
     table = episode.tables["movers"]
-    columns = [table[name] for name in ("exchange", "stamp", "hit", "intrusions")]
-    return Movers(*columns, states=episode.tables["mover_states"])
+    return Movers(
+        exchanges=table["exchange"],
+        stamps=table["stamp"],
+        hits=table["hit"],
+        intrusions=table["intrusions"],
+        states=episode.tables["mover_states"],
+    )
 
 
 def _made(make: Callable[[Episode], Any]) -> Any:
@@ -199,6 +206,7 @@ def _column(table: str, column: str) -> Any:
     return _made(lambda episode: episode.tables[table][column])
 
 
+@dataclass(init=False, repr=False, eq=False)
 class Episode:
     """One episode of a recording: from a reset to the next one. Angles in rad, n ticks.
 
@@ -208,29 +216,26 @@ class Episode:
     Args:
         head: How the episode began, and what its newest step was.
         tables: Its tables, or a part of each.
-
-    Attributes:
-        start: Time of the reset, on the link's clock [s].
-        offset: What to add to times of the link's clock for those of the file [ns]. Those begin
-            with the wall clock at the first reset.
-        info: Seed, goal, start and number of the episode, as far as they are known.
-        terminated: Whether it ended by success or failure. It was cut short otherwise.
-        truncated: Whether a fault ended it: the last step repeats the observation before.
-        success: Whether the task was solved. None if no env was recorded.
-        tables: The tables by name. See `recording.events.TABLES`.
+        fields: Fields that aren't made of these, as `dataclasses.replace` passes them.
     """
 
-    def __init__(self, head: Head, tables: Tables) -> None:
-        self.start = head.start
-        self.offset = head.offset
-        self.info: Mapping[str, Any] = head.info
-        outcome = head.outcome or (False, False, None)
-        self.terminated: bool = outcome[0]
-        self.truncated: bool = outcome[1]
-        self.success: bool | None = outcome[2]
-        self.tables = tables
-        self._head = head
-
+    head: Head
+    """How it began, and what its newest step was."""
+    tables: Tables
+    """The tables by name. See `recording.events.TABLES`."""
+    start: float
+    """Time of the reset, on the link's clock [s]."""
+    offset: int
+    """What to add to times of the link's clock for those of the file [ns]. Those begin with the
+    wall clock at the first reset."""
+    info: Mapping[str, Any]
+    """Seed, goal, start and number of the episode, as far as they are known."""
+    terminated: bool
+    """Whether it ended by success or failure. It was cut short otherwise."""
+    truncated: bool
+    """Whether a fault ended it: the last step repeats the observation before."""
+    success: bool | None
+    """Whether the task was solved. None if no env was recorded."""
     wire: WireLog = _made(_make_wire)
     """The bytes both ways, from the reset on."""
     stamps: Floats = _column("ticks", "stamp")
@@ -273,10 +278,22 @@ class Episode:
     movers: Movers = _made(_list_movers)
     """What moved around the robot. Empty on hardware, and if nothing did."""
 
+    def __init__(self, head: Head, tables: Tables, **fields: Any) -> None:
+        self.head = head
+        self.tables = tables
+        self.start = head.start
+        self.offset = head.offset
+        self.info = head.info
+        outcome = head.outcome or (False, False, None)
+        self.terminated, self.truncated, self.success = outcome
+
+        # A field of the instance hides the descriptor that would make it.
+        vars(self).update(fields)
+
     def split(self) -> Iterator[Episode]:
         """Yield the episode in parts of moderate size, with some of the rows of each table."""
         for tables in self.tables.split():
-            yield Episode(self._head, tables)
+            yield Episode(self.head, tables)
 
 
 @dataclass(frozen=True, eq=False)

@@ -77,6 +77,7 @@ def open_exclusively(path: Path) -> IO[bytes]:
     except OSError:
         file.close()
         raise
+    # The lock is on the older recording, so no other recorder writes it meanwhile.
     path.rename(next_number(path))
     file.close()
     return open_exclusively(path)
@@ -200,6 +201,7 @@ class RecordingWriter(Sink):
         self._file.close()
 
     def _write_block(self, head: Mapping[str, Any], tables: Tables) -> None:
+        # All messages of the block must be in the file before their checksum is written.
         self._writer.flush()
         content = pack_block({"before": self._file.checksum, **head}, tables)
         self._writer.add_attachment(self._newest, self._newest, NAME, MEDIA_TYPE, content)

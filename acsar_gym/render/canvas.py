@@ -129,16 +129,6 @@ class Canvas:
         for end in self._fine_pixels(ends).tolist() if origin else ():
             self.pen.line([*origin, *end], fill=colour)
 
-    def dashes(self, points: Floats, colour: Colour, width: float, dash: float) -> None:
-        """Draw a dashed line through points (N, 2). Dashes and gaps are `dash` pixels long."""
-        length = path_lengths(points)
-        stops = np.arange(0.0, length[-1], dash / self.view.scale)
-        for start, end in zip(stops[::2], [*stops[1::2], length[-1]], strict=False):
-            corners = length[(length > start) & (length < end)]
-            at = [start, *corners, end]
-            piece = np.column_stack([np.interp(at, length, axis) for axis in points.T])
-            self.line(piece, colour, width)
-
     def shape(
         self, points: Floats, fill: Colour, edge: Colour | None = None, width: float = 1.0
     ) -> None:
@@ -180,6 +170,7 @@ class Canvas:
         column = width - inset - length if right else inset
         start, end, low = (FINE_SCALE * pixel for pixel in (column, column + length, row))
 
+        # A box behind the bar and its text.
         pad = FINE_SCALE * TEXT_PADDING
         top = low - FINE_SCALE * (TEXT_HEIGHT + 6.0)
         self.pen.rounded_rectangle((start - pad, top, end + pad, low + pad), pad, LABEL_COLOUR)
@@ -225,9 +216,10 @@ def path_lengths(points: Floats) -> Floats:
 
 
 def thin_line(points: Floats, distance: float) -> Floats:
-    """Keep the first point, the last, and one in between for each `distance` of a line."""
+    """Keep the first point, the last point, and a point for each `distance` of a line."""
     if len(points) <= 2:
         return points
+    # The number of whole distances from the start grows at each point that is kept.
     mark = (path_lengths(points) / distance).astype(np.int64)
     kept = np.append(True, np.diff(mark) > 0)
     kept[-1] = True

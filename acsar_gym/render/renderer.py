@@ -53,12 +53,13 @@ class Screen:
     def show(self, state: State, truth: GroundTruth | None, scan: Scan | None) -> None:
         """Record the robot's new state. A window displays it at once.
 
-        If no window can be opened, warns once and continues without one.
+        If no window can be opened, warns once and draws off-screen.
         """
         config, mode, _ = self._settings
         if mode is None:
             return
 
+        # Odometry begins at the start, truth is in the frame of the world.
         assignment = self._assignment
         odom = to_world(assignment.start, state.pose)
         self._odom_path.append(odom[:2])
@@ -114,9 +115,10 @@ class Screen:
 
 
 class Window:
-    """Displays pictures with tkinter. The window opens with the first one. Use it from one thread.
+    """Displays pictures with tkinter. The window opens with the first picture.
 
-    Once it is closed, by `close()` or by the user, further pictures are ignored.
+    Once it is closed, by `close()` or by the user, further pictures are ignored. A window must be
+    used by one thread only.
     """
 
     def __init__(self, title: str) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from acsar_gym import reading
 from acsar_gym.config import RobotConfig
-from acsar_gym.config.footprint import border_distance
+from acsar_gym.config.footprint import border_distance, make_rectangle
 from acsar_gym.errors import ConfigError
 from acsar_gym.physics.body import wheel_hubs
 from acsar_gym.render.canvas import (
@@ -119,6 +119,7 @@ class TopView:
         self._fit_view(frame)
         canvas = Canvas(self.view, self._dark.layer)
         pose = frame.truth or frame.odom
+        # What the robot stands on, then the robot.
         if frame.rays is not None:
             self._draw_scan(canvas, pose, *frame.rays, frame.reach)
         if frame.movers is not None:
@@ -153,6 +154,7 @@ class TopView:
             bounds = episode_bounds(frame.world, frame.goal)
             up: Up = "x" if frame.world is None else "y"
             view = View.fitted(bounds, view.size, up, PICTURE_INSET)
+        # A robot that leaves the picture makes it larger.
         for x, y, _ in (frame.odom, frame.truth or frame.odom):
             if math.isfinite(x + y) and not view.shows(x, y, PICTURE_INSET):
                 room = 0.25 * np.ptp(bounds, axis=0).max()  # to grow further
@@ -179,6 +181,7 @@ class TopView:
         offset = np.array([[self._config.lidar_x_offset, self._config.lidar_y_offset]])
         sensor = place_points(offset, pose)
         ends = sensor + polar_points(angles + pose[2], np.minimum(ranges, reach))
+        # Rays of a part of a turn enclose an area with the sensor.
         turn = float(angles[-1] - angles[0]) if len(angles) > 2 else 0.0
         is_full_turn = turn > 0.0 and math.tau - turn < 1.5 * turn / (len(angles) - 1)
         canvas.reveal(self._lit.layer, ends if is_full_turn else np.concatenate([sensor, ends]))
@@ -204,6 +207,7 @@ class TopView:
 def draw_world(world: World | None, view: View, floor: Colour, grid: Colour) -> Canvas:
     """Draw the floor with its grid, and the world's path and obstacles."""
     canvas = Canvas(view, floor)
+    # Lines of the grid are at least 30 pixels apart.
     step = max(1.0, round_length(30.0 / view.scale))
     for axis in (0, 1):
         low, high = view.bounds[:, axis]
@@ -215,7 +219,7 @@ def draw_world(world: World | None, view: View, floor: Colour, grid: Colour) -> 
         return canvas
 
     if world.path is not None:
-        canvas.dashes(world.path, PLAN_COLOUR, 1.0, 5.0)
+        canvas.line(world.path, PLAN_COLOUR, 1.0)
     for x, y, radius in world.circles.tolist():
         canvas.discs((x, y), radius, OBSTACLE_COLOUR, least=1.0)
     for ends in world.segments.reshape(-1, 2, 2):
@@ -247,6 +251,7 @@ def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
     bounds = span([*corners, goal] if goal else corners)
     if world is not None:
         return widen_bounds(bounds, WORLD_MARGIN)
+    # Without a world, a square leaves room for detours.
     longest = np.ptp(bounds, axis=0).max()
     margin = longest / 2.0 + max(OPEN_MARGIN, 0.25 * longest)
     return widen_bounds([bounds.mean(axis=0)] * 2, margin)
@@ -268,36 +273,23 @@ def robot_parts(config: RobotConfig) -> list[tuple[Floats, Colour]]:
 
     They are in drawing order: footprint, wheels, chassis, heading and LiDAR.
     """
-    body = config.body
-    tyre = max(0.02, body.width - config.wheel_separation)
-    if config.footprint is None:
-        inner = max(0.02, config.wheel_separation - tyre - 0.02)
-        outline = rectangle(body.length, body.width)
-        chassis = rectangle(body.length, inner)
-        nose = np.array([[0.46, 0.0], [0.12, 0.36], [0.12, -0.36]]) * (body.length, inner)
-    else:
-        outline = np.array(config.footprint)
-        chassis = 0.75 * outline
-        room = border_distance(config.footprint, 0.0, 0.0)
-        nose = np.array([[0.6, 0.0], [0.0, 0.4], [0.0, -0.4]]) * room
+    # Chassis and heading are parts of the outline, so that any footprint has them.
+    outline = np.array(config.outline)
+    nose = np.array([[0.6, 0.0], [0.1, 0.4], [0.1, -0.4]])
+    nose *= border_distance(config.outline, 0.0, 0.0)
+    tyre = max(0.02, config.body.width - config.wheel_separation)
+    wheel = np.array(make_rectangle(2.0 * config.wheel_radius, tyre))
 
-    wheel = rectangle(2.0 * config.wheel_radius, tyre)
     hubs = wheel_hubs(config.wheelbase / 2.0, config.wheel_separation / 2.0)
     turn = np.linspace(0.0, math.tau, 16, endpoint=False)
     sensor = np.array([[config.lidar_x_offset, config.lidar_y_offset]])
     return [
         (outline, DECK_COLOUR),
         *((wheel + hub, TYRE_COLOUR) for hub in hubs),
-        (chassis, CHASSIS_COLOUR),
+        (0.75 * outline, CHASSIS_COLOUR),
         (nose, FLOOR_COLOUR),
         (sensor + polar_points(turn, np.full(16, 0.035)), TYRE_COLOUR),
     ]
-
-
-def rectangle(length: float, width: float) -> Floats:
-    """Return the corners of a rectangle around the origin [m]."""
-    corners: Floats = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
-    return corners * (length, width)
 
 
 def polar_points(angles: Floats, ranges: Floats) -> Floats:

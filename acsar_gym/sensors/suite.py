@@ -70,9 +70,9 @@ class Sensors(Sequence[Sensor]):
         self._polled = [sensor for sensor in self._sensors if is_polled(sensor)]
 
         # Of the episode.
-        self._scene: Scene
-        self._rng: np.random.Generator
-        self._memories: list[Floats]
+        self._scene = Scene()
+        self._rng = np.random.default_rng(0)
+        self._memories = [new_memory(sensor, 1) for sensor in self._sensors]
         self._newest: SensorInput
 
     def __getitem__(self, index: Any) -> Any:
@@ -103,10 +103,9 @@ class Sensors(Sequence[Sensor]):
         """Each sensor, and what it may know, with its memory."""
         for sensor, memory in zip(self._sensors, self._memories, strict=True):
             robot = self._newest
-            yield (
-                sensor,
-                robot._replace(memory=name_memory(sensor, memory)) if memory.size else robot,
-            )
+            if sensor.memory:
+                robot = robot._replace(memory=name_memory(sensor, memory))
+            yield sensor, robot
 
     def reset(self, scene: Scene, rng: np.random.Generator) -> None:
         """Start an episode: reset each sensor. Those with a clock of their own measure.
@@ -132,8 +131,12 @@ class Sensors(Sequence[Sensor]):
         truth = self._link.truth
         now = self._link.now()
         for sensor in self._polled:
-            with naming_sensor(sensor):
+            # In every tick: a `with` around the call would cost as much as the call.
+            try:
                 sensor.poll(truth, now)
+            except Exception:
+                with naming_sensor(sensor):
+                    raise
 
     def read(self) -> Floats:
         """Read all of them.
@@ -248,7 +251,7 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
 
     with translate_errors(ConfigError, lambda: f"sensor {name!r}"):
         low, high = sensor.bounds
-        if sensor.size < 1 or (low > high).any():
+        if sensor.size < 1 or not (low <= high).all():
             raise ConfigError(
                 f"sensor {name!r}: must have a size from 1, and low <= high, numbers or (size,)"
             )

@@ -288,6 +288,8 @@ class ObservationCheck:
             self._low = np.broadcast_to(self._low, numbers.shape).copy()
             self._high = np.broadcast_to(self._high, numbers.shape).copy()
 
+        numbers = np.ascontiguousarray(numbers)
+
         # One test of all numbers is fast, and nearly always the last.
         is_inside = (numbers >= self._low) & (numbers <= self._high)
         if is_inside.all():
@@ -387,11 +389,12 @@ class RunningEpisode:
             if way is None:
                 return None
             numbers: Floats = np.array(way, np.float64)
-        is_length = numbers.ndim == 0 and numbers >= 0.0
-        if not np.isfinite(numbers).all() or not (is_length or numbers.shape[1:] == (2,)):
+            is_length = numbers.ndim == 0
+            places = numbers if is_length else numbers.reshape(len(numbers), 2)
+        if not np.isfinite(places).all() or (is_length and places < 0.0):
             problem = "must be places (x, y) [m], a length [m], or None"
             raise self._error("shortest_path", f"{show_value(way)}: {problem}")
-        return float(numbers) if is_length else numbers
+        return float(places) if is_length else places
 
     def info(self) -> dict[str, float]:
         """Return what the task adds to info. The keys are the same at every step."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, SupportsFloat, Union
 
-from acsar_gym.errors import ConfigError, WorldError, explain_error, show_value
+from acsar_gym.errors import WorldError, explain_error, show_value
 from acsar_gym.worlds import files, generators, registry
 from acsar_gym.worlds.generators import Level
 from acsar_gym.worlds.registry import TRAIN
@@ -133,19 +133,8 @@ def name_alone(source: Any, split: str) -> Any:
     return source if name is None or name.numbers else f"{source}:{split}"
 
 
-def place_worlds(
-    worlds: Sequence[str], start: str | None, goal: str | None
-) -> str | list[str] | dict[str, str] | None:
-    """Make what an env takes as `worlds=` from the options of a command.
-
-    Places are texts like "X,Y,THETA" [m, rad]. ConfigError if one is given, but not one file.
-    """
-    options = {"start": start, "goal": goal}
-    placement = {name: value for name, value in options.items() if value is not None}
-    if placement and len(worlds) != 1:
-        raise ConfigError(f"--{next(iter(placement))} is for a world of a file: name one file, too")
-    if placement:
-        return {"path": worlds[0], **placement}
+def name_sources(worlds: Sequence[str]) -> str | list[str] | None:
+    """Make what an env takes as `worlds=` from an option that may be repeated."""
     return list(worlds) if len(worlds) > 1 else next(iter(worlds), None)
 
 

@@ -3,7 +3,7 @@
 How pages write code:
 
 - ```python blocks share one namespace per page and run in an empty folder. A block whose first line
-  is a comment with a path, `# mine/clearance.py`, is saved there and imported; blocks in other
+  is a comment with a path, `# mine/clearance.py`, is saved there and imported. Blocks in other
   languages with such a first line (`# robot.yaml`) are saved.
 - ```bash blocks: lines that start with `acsar-gym` run in this process, `python FILE` too, with the
   smaller numbers of SMALLER and SMALLEST. /dev/ttyUSB0 and /dev/ttyACM0 are an emulated board, and
@@ -44,7 +44,7 @@ DEVICE = re.compile(r"/dev/tty(?:ACM|USB)\d")
 PATIENT = {"doctor", "drive", "evaluate", "run"}
 """Commands that get a robot file with long time-outs, for busy machines."""
 LIMIT = 1800.0
-"""After which a page counts as hanging [s]; far more than any takes."""
+"""After which a page counts as hanging [s]. Far more than any takes."""
 SMALLER: dict[str, dict[str, str]] = {
     "docs/training.md": {
         "256": "4",
@@ -65,7 +65,7 @@ SMALLEST = {
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block of code; `line` is that of its code in the page, from 1 on."""
+    """A fenced block of code. `line` is the first line of its code in the page, from 1 on."""
 
     page: Path
     line: int
@@ -75,7 +75,7 @@ class Block:
 
     @property
     def source(self) -> str:
-        """Its code with smaller numbers; errors tell its lines in the page."""
+        """Its code with smaller numbers. Errors tell its lines in the page."""
         code = self.code
         for old, new in SMALLER.get(str(self.page.relative_to(ROOT)), {}).items():
             code = code.replace(old, new)
@@ -83,7 +83,7 @@ class Block:
 
     @property
     def commands(self) -> list[list[str]]:
-        """The lines of a bash block as words; comments and backslashes are resolved."""
+        """The lines of a bash block as words. Comments and backslashes are resolved."""
         if self.language != "bash":
             return []
         lines = self.code.replace("\\\n", " ").splitlines()
@@ -92,7 +92,8 @@ class Block:
 
 def list_blocks(page: Path) -> list[Block]:
     """All fenced blocks of a page."""
-    blocks, is_run = [], True
+    blocks = []
+    is_run = True
     for token in MarkdownIt("commonmark").parse(page.read_text(encoding="utf-8")):
         if token.type == "fence" and token.map is not None:
             language = token.info.split(" ")[0]
@@ -144,14 +145,18 @@ WIRE_LOG = logging.getLogger("acsar_gym.wire")
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A page's folder, with what it names of the checkout; what it registers is forgotten."""
-    modules, ids, own = set(sys.modules), dict(gymnasium.registry), dict(registry.REGISTERED)
+    """A page's folder, with what it names of the checkout. What it registers is forgotten."""
+    modules = set(sys.modules)
+    ids = dict(gymnasium.registry)
+    registered = dict(registry.REGISTERED)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     for path in (ROOT / "agents", ROOT / "assets", *(ROOT / "docs").glob("*.json")):
         (tmp_path / path.name).symlink_to(path)
     log_level = WIRE_LOG.level
+
     yield tmp_path
+
     WIRE_LOG.setLevel(log_level)
     for name in set(sys.modules) - modules:
         if str(getattr(sys.modules[name], "__file__", None)).startswith(str(tmp_path)):
@@ -159,11 +164,11 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     gymnasium.registry.clear()
     gymnasium.registry.update(ids)
     registry.REGISTERED.clear()
-    registry.REGISTERED.update(own)
+    registry.REGISTERED.update(registered)
 
 
 def save(block: Block, path: Path) -> None:
-    """Write a file; a module of Python is imported, as a check."""
+    """Write a file. A module of Python is imported, as a check."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(block.source.lstrip("\n"), encoding="utf-8")
     if path.suffix == ".py":
@@ -186,7 +191,7 @@ def call(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def parse(words: list[str]) -> None:
-    """Check a command's name and options; it isn't run."""
+    """Check a command's name and options. It isn't run."""
 
     def quiet(command: Callable[..., Any]) -> Callable[..., int]:
         return functools.wraps(command)(lambda *_, **__: 0)
@@ -218,11 +223,12 @@ def run(block: Block, folder: Path, names: dict[str, Any], boards: Boards) -> No
 @pytest.mark.filterwarnings(
     "default:.*polic:acsar_gym.errors.AcsarWarning"
 )  # pages drive other robots
-def test_the_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
+def test_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
     names: dict[str, Any] = {"__name__": "page"}
     boards = Boards(request)
     signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"{page}: not within {LIMIT:g} s"))
     signal.setitimer(signal.ITIMER_REAL, LIMIT)
+
     try:
         for block in list_blocks(page):
             if block.is_run:

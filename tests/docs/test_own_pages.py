@@ -48,7 +48,9 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         (package / name).write_text(code, encoding="utf-8")
     sys.path.insert(0, str(folder))
     importlib.invalidate_caches()
+
     yield package
+
     sys.path.remove(str(folder))
     for task in ("Clearance", "Park", "Feeling"):
         gymnasium.registry.pop(f"mine/{task}-v0", None)
@@ -68,7 +70,7 @@ def test_own_task_is_equal_in_a_batch_and_in_single_envs(mine: Path) -> None:
     """Limits and a geofence included, through the ends of episodes."""
     importlib.import_module("mine.clearance")
     options: dict[str, Any] = {"robot": ROBOT, "worlds": "clutter:8"}
-    robots = 64
+    robots = 16
     checked = 4
     batch: Any = gymnasium.make_vec(
         TASK, robots, vectorization_mode="vector_entry_point", autoreset_mode="NextStep", **options
@@ -142,7 +144,7 @@ def test_own_task_is_the_same_to_the_bit_over_a_serial_port(mine: Path, tmp_path
 
 
 def test_own_sensor_reads_its_device_on_hardware(mine: Path) -> None:
-    """Its link knows no truth; the newest whole line counts, and silence is a fault."""
+    """Its link knows no truth. The newest whole line counts, and silence is a fault."""
     finder = importlib.import_module("mine.finder")
     rays = importlib.import_module("mine.rays")
     link = SimpleNamespace(truth=None)

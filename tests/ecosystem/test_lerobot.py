@@ -31,10 +31,10 @@ ahead = {"action": [0.0, 0.1]}
 data = LeRobotDataset("acsar/drive", root="data", delta_timestamps=ahead)
 frames = [data[number] for number in range(len(data))]
 keys = ("observation.state", "action", "next.done", "timestamp", "episode_index")
-told = {key: [frame[key].tolist() for frame in frames] for key in keys}
-told |= {"fps": data.fps, "task": frames[0]["task"], "episodes": data.num_episodes}
-told["mean"] = data.meta.stats["action"]["mean"].tolist()
-print(json.dumps(told))
+dataset = {key: [frame[key].tolist() for frame in frames] for key in keys}
+dataset |= {"fps": data.fps, "task": frames[0]["task"], "episodes": data.num_episodes}
+dataset["mean"] = data.meta.stats["action"]["mean"].tolist()
+print(json.dumps(dataset))
 """
 
 
@@ -55,15 +55,22 @@ def test_lerobot_reads_the_drives_back(tmp_path: Path) -> None:
         timeout=600,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    told = json.loads(done.stdout.splitlines()[-1])
+
+    dataset = json.loads(done.stdout.splitlines()[-1])
     episodes = read_demonstrations([first, second]).episodes
-    assert (told["fps"], told["episodes"], told["task"]) == (10, 2, "acsar_gym/PointGoal-v0")
-    seen = np.concatenate([one.observations[:-1] for one in episodes])
-    np.testing.assert_array_equal(np.array(told["observation.state"], np.float32), seen)
-    actions = np.concatenate([one.actions for one in episodes])
-    both = np.array(told["action"], np.float32)  # (frames, 2, 2): of this step and the next one
-    np.testing.assert_array_equal(both[:, 0], actions)
-    ends = np.array(told["next.done"])
-    np.testing.assert_array_equal(both[:-1, 1][~ends[:-1]], actions[1:][~ends[:-1]])
+    assert (dataset["fps"], dataset["episodes"], dataset["task"]) == (
+        10,
+        2,
+        "acsar_gym/PointGoal-v0",
+    )
+    observations = np.concatenate([episode.observations[:-1] for episode in episodes])
+    np.testing.assert_array_equal(np.array(dataset["observation.state"], np.float32), observations)
+    actions = np.concatenate([episode.actions for episode in episodes])
+    pairs = np.array(
+        dataset["action"], np.float32
+    )  # (frames, 2, 2): of this step and the next step
+    np.testing.assert_array_equal(pairs[:, 0], actions)
+    ends = np.array(dataset["next.done"])
+    np.testing.assert_array_equal(pairs[:-1, 1][~ends[:-1]], actions[1:][~ends[:-1]])
     assert ends.sum() == 2
-    np.testing.assert_allclose(told["mean"], actions.mean(axis=0), atol=1e-6)
+    np.testing.assert_allclose(dataset["mean"], actions.mean(axis=0), atol=1e-6)

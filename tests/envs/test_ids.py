@@ -44,7 +44,7 @@ def test_ids_pass_stable_baselines3s_checker(env_id: str, make: Any) -> None:
 def test_manual_is_the_class(env_id: str, make: Any) -> None:
     """With observation, reward, end, the task's options and the weights of its reward."""
     env = make(env_id).unwrapped
-    manual = type(env).__doc__
+    manual = str(type(env).__doc__)
     for section in ("Observation space", "Reward", "Start and end", "Arguments"):
         assert f"## {section}" in manual
     shared = str(RobotEnv.__doc__)

@@ -30,7 +30,7 @@ VALUES: dict[str, Any] = {
 def test_spec_goes_through_json(options: dict[str, Any], make: Any) -> None:
     env = make(POINT_GOAL, robot=ROBOT, faults=Faults(dropped_lines=0.01), **options)
     assert env.spec is not None
-    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.spec == env.spec
     assert again.unwrapped.robot.config == env.unwrapped.robot.config == ROBOT
     assert vars(again.unwrapped.task) == vars(env.unwrapped.task)

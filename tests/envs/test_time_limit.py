@@ -18,9 +18,7 @@ from acsar_gym.errors import CommandError, ConfigError
 from acsar_gym.tasks import PointGoal
 
 pytestmark = pytest.mark.xdist_group(__name__)
-Env = gymnasium.Env[Any, Any]
-
-
+Env = Any
 POINT_GOAL = "acsar_gym/PointGoal-v0"
 
 

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-import firmware_tools
+import sys
+from pathlib import Path
+
 import pytest
+
+sys.path.insert(0, str(Path(__file__).parent / "tools"))
+
+import firmware_tools
 from firmware_tools import CHIPS, Script
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _built() -> None:
-    what = firmware_tools.missing()
-    if what:
-        pytest.skip(f"there is no {what}")
+    missing_tools = firmware_tools.missing()
+    if missing_tools:
+        pytest.skip(f"there is no {missing_tools}")
     firmware_tools.build()
 
 

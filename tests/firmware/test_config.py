@@ -13,7 +13,7 @@ Build = Callable[..., str]
 
 @pytest.fixture
 def build(tmp_path: Path) -> Build:
-    """`build(NAME="value", ...)` compiles with these; returns what the compiler complains of."""
+    """`build(NAME="value", ...)` compiles with these. Returns what the compiler complains of."""
 
     def compiled(**changes: str) -> str:
         return firmware_tools.build_changed(tmp_path, "atmega328p", **changes)[1]

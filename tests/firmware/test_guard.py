@@ -35,10 +35,13 @@ def reached(ran: Ran, wheel: int) -> float:
 
 
 @pytest.mark.parametrize("speed", [0.3, 1.0, -1.0, 20.0])
-def test_a_reversed_encoder_cuts_its_motor_at_once(chip: str, tmp_path: Path, speed: float) -> None:
+def test_guard_cuts_the_motor_of_a_reversed_encoder_at_once(
+    chip: str, tmp_path: Path, speed: float
+) -> None:
     script = Script(chip, REVERSED)
     script.command(0.1, 2.0, all_at(speed))
     ran = script.run(2.0, tmp_path)
+
     states = ran.states("speeds")
     turned = next(time for time, speeds in states if abs(speeds[0]) > TURNS)
     assert off_since(ran, 0) - turned < AT_ONCE
@@ -53,7 +56,9 @@ def test_a_reversed_encoder_cuts_its_motor_at_once(chip: str, tmp_path: Path, sp
         assert reached(ran, 0) < 7.0
 
 
-def test_a_contrary_motor_stays_cut_until_zero_is_commanded(script: Script, tmp_path: Path) -> None:
+def test_guard_cuts_a_contrary_motor_until_zero_is_commanded(
+    script: Script, tmp_path: Path
+) -> None:
     script.options = REVERSED
     script.command(0.1, 0.8, all_at(1.0))
     script.command(0.8, 1.6, all_at(-1.0))
@@ -64,7 +69,7 @@ def test_a_contrary_motor_stays_cut_until_zero_is_commanded(script: Script, tmp_
     assert [time for time in on if time > 1.7]
 
 
-def test_a_stalled_motor_is_cut_until_zero_or_the_other_way_is_commanded(
+def test_guard_cuts_a_stalled_motor_until_zero_or_the_other_way_is_commanded(
     script: Script, tmp_path: Path
 ) -> None:
     script.order(0.5, "turn 0 0")
@@ -75,6 +80,7 @@ def test_a_stalled_motor_is_cut_until_zero_or_the_other_way_is_commanded(
     script.command(6.0, 6.5, all_at(4.0))
     script.command(6.5, 7.5, all_at(-4.0))
     ran = script.run(7.5, tmp_path)
+
     off = [time for time, duty in ran.states("duty") if time > 0.2 and duty[0] == 0.0]
     assert 0.5 + STALL < off[0] < 0.5 + STALL + 0.3
     assert ran.at(2.9, "duty")[0] == 0.0
@@ -86,17 +92,17 @@ def test_a_stalled_motor_is_cut_until_zero_or_the_other_way_is_commanded(
 
 @pytest.mark.parametrize("lag", [0.08, 0.3, 1.0])
 @pytest.mark.parametrize("speed", [3.0, 30.0])
-def test_a_heavy_wheel_that_reverses_isnt_cut(tmp_path: Path, lag: float, speed: float) -> None:
+def test_guard_spares_a_heavy_wheel_that_reverses(tmp_path: Path, lag: float, speed: float) -> None:
     script = Script(CHIPS[0], ("--lag", f"{lag},{lag},{lag},{lag}", "--gain", "1,0.6,1.3,1"))
     for number in range(4):
-        begin = 0.1 + 0.8 * number
-        script.command(begin, begin + 0.8, all_at(speed if number % 2 == 0 else -speed))
+        start = 0.1 + 0.8 * number
+        script.command(start, start + 0.8, all_at(speed if number % 2 == 0 else -speed))
     assert script.run(3.3, tmp_path).notes() == []
 
 
 @pytest.mark.parametrize("load", [-14.0, -6.0, 6.0, 14.0])
 @pytest.mark.parametrize("speed", [0.3, 5.0])
-def test_a_slope_that_rolls_the_robot_isnt_cut(
+def test_guard_spares_a_robot_that_rolls_down_a_slope(
     chip: str, tmp_path: Path, load: float, speed: float
 ) -> None:
     """Up and down, standing and driving: what the wheel would do without its motor [rad/s]."""
@@ -112,8 +118,8 @@ def test_a_slope_that_rolls_the_robot_isnt_cut(
 
 
 @pytest.mark.parametrize("speed", [-7.0, -3.0, -0.5, 4.0, 20.0])
-def test_a_wheel_that_a_hand_turns_isnt_cut(chip: str, tmp_path: Path, speed: float) -> None:
-    """While it stands; and while it drives, suddenly, and faster and faster for 0.3 s."""
+def test_guard_spares_a_wheel_that_a_hand_turns(chip: str, tmp_path: Path, speed: float) -> None:
+    """While it is at rest, and while it drives, suddenly, and faster and faster for 0.3 s."""
     script = Script(chip)
     script.command(0.1, 1.0, ZERO)
     script.order(0.2, f"turn 0 {speed}")

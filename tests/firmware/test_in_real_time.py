@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 
 TRIALS = 20
 PATIENT = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}
-"""What a busy computer needs [s]; a program that was killed is noticed at once all the same."""
+"""What a busy computer needs [s]. A program that was killed is noticed at once all the same."""
 ATTEMPTS = 3
 """How often doctor is asked where the computer lets the simulated chip stand still."""
 LIMIT = 0.1
@@ -40,19 +40,21 @@ def board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
 
 
 def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> None:
-    found, robot = tmp_path / "doctor.json", tmp_path / "patient.yaml"
+    report = tmp_path / "doctor.json"
+    robot = tmp_path / "patient.yaml"
     RobotConfig.preset("acsar_avr").with_(**PATIENT).save(robot)
     options = ("--robot", robot, "--spin", "--yes", "--saw", *"abcd", "--json")
     for _ in range(ATTEMPTS):
         board.forget()
-        done = cli("doctor", board.device, *options, found)
+        done = cli("doctor", board.device, *options, report)
         if not any("lost" in event for event in board.events()):
             break
     else:
         pytest.skip("this computer is too busy for a simulated chip in real time")
-    checks = json.loads(found.read_text())["checks"]
-    here = {"serial ports", "emergency stop"}  # of this computer
-    assert [one for one in checks if one["status"] != "ok" and one["name"] not in here] == []
+
+    checks = json.loads(report.read_text())["checks"]
+    faulty = {check["name"] for check in checks if check["status"] != "ok"}
+    assert faulty <= {"serial ports", "emergency stop"}  # which are those of this computer
     assert done.returncode == 0, done.stderr
 
 
@@ -66,19 +68,19 @@ def reversed_board(chip: str, tmp_path: Path) -> Iterator[Emulated]:
 
 
 def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Path) -> None:
-    found = tmp_path / "doctor.json"
+    report = tmp_path / "doctor.json"
     robot = tmp_path / "patient.yaml"
     RobotConfig.preset("acsar_avr").with_(**PATIENT).save(robot)
-    options = ("--robot", robot, "--spin", "--yes", "--json", found)
+    options = ("--robot", robot, "--spin", "--yes", "--json", report)
     done = cli("doctor", reversed_board.device, *options)
     assert done.returncode != 0
-    checks = {one["name"]: one for one in json.loads(found.read_text())["checks"]}
+    checks = {check["name"]: check for check in json.loads(report.read_text())["checks"]}
     assert "a cut: turns against its motor" in checks["the board says"]["found"]
     assert "ENCODER_REVERSED" in checks["the board says"]["fix"]
     assert checks["line quality"]["status"] == "ok"
 
 
-def test_a_reversed_encoder_ends_a_drive(reversed_board: Emulated) -> None:
+def test_wheel_check_ends_a_drive_with_a_reversed_encoder(reversed_board: Emulated) -> None:
     """The driver stops the robot before the board cuts the motor, after 0.14 s, and reports it."""
     config = RobotConfig.preset("acsar_avr").with_(**PATIENT)
     with (
@@ -108,8 +110,8 @@ def off_after(board: Emulated, fault: float) -> tuple[float, float]:
     wait_until(is_off, "motors without current")
     events = [event for event in board.events() if event["t"] <= off[0]["t"]]
     heard = [e["t"] for e in events if e["t"] > fault and "ap00.00,bp00.00" in e.get("rx", "")]
-    begin = heard[0] if heard else fault
-    driven = [event["own"] for event in events if "own" in event and event["t"] <= begin]
+    stop_time = heard[0] if heard else fault
+    driven = [event["own"] for event in events if "own" in event and event["t"] <= stop_time]
     return off[0]["t"] - fault, off[0]["own"] - driven[-1]
 
 
@@ -118,6 +120,7 @@ def test_motors_have_no_current_soon_after_kill_9(board: Emulated, tmp_path: Pat
     robot_file = tmp_path / "robot.yaml"
     config = RobotConfig.preset("acsar_avr").with_(**PATIENT)
     robot_file.write_text(config.model_dump_json())  # YAML contains JSON
+
     fault_times = []
     command_times = []
     for _ in range(TRIALS):
@@ -135,7 +138,7 @@ def test_motors_have_no_current_soon_after_kill_9(board: Emulated, tmp_path: Pat
 
 
 @pytest.mark.parametrize("chip", firmware_tools.CHIPS[:1])
-def test_every_kind_of_fault_ends_in_a_zero_command_in_time(chip: str) -> None:
+def test_stopping_ends_every_kind_of_fault_in_a_zero_command(chip: str) -> None:
     config = RobotConfig.preset("acsar_avr")
     command = shlex.join(firmware_tools.command(chip))
     stops = list(stopping.measure(1, config=config, board=command))

@@ -25,13 +25,13 @@ def expected(data: bytes) -> list[dict[int, int]]:
     """The document's rules, in other words."""
     lines = []
     for line in re.split(rb"[\r\n]", data)[:-1]:
-        told = {}
-        for part in line.split(b",") if len(line) <= MAX_LINE else []:
-            if match := PART.fullmatch(part):
-                motor, direction, whole, cents = match.groups()
-                value = int(whole) * 100 + int(cents)
-                told[b"abcd".index(motor)] = value if direction == b"p" else -value
-        lines += [told] if told else []
+        speeds = {}
+        for text in line.split(b",") if len(line) <= MAX_LINE else []:
+            if match := PART.fullmatch(text):
+                motor, direction, units, cents = match.groups()
+                value = int(units) * 100 + int(cents)
+                speeds[b"abcd".index(motor)] = value if direction == b"p" else -value
+        lines += [speeds] if speeds else []
     return lines
 
 
@@ -43,18 +43,18 @@ STREAMS = st.lists(st.one_of(PIECES, st.binary(max_size=6)), max_size=60).map(b"
 
 
 @given(STREAMS)
-def test_every_stream_is_read_by_the_rules(library: Path, stream: bytes) -> None:
+def test_parser_reads_every_stream_by_the_rules(library: Path, stream: bytes) -> None:
     assert Program(library).take(stream) == expected(stream)
 
 
 @given(st.lists(st.integers(-9999, 9999), min_size=4, max_size=4), st.booleans())
-def test_it_reads_what_the_host_says(library: Path, cents: list[int], comma: bool) -> None:
-    said = encode([value / 100 for value in cents], trailing_comma=comma)
-    assert Program(library).take(said) == [dict(enumerate(cents))]
+def test_parser_reads_what_the_host_sends(library: Path, cents: list[int], comma: bool) -> None:
+    line = encode([value / 100 for value in cents], trailing_comma=comma)
+    assert Program(library).take(line) == [dict(enumerate(cents))]
 
 
 @given(st.lists(st.integers(-32768, 32767), min_size=4, max_size=4), st.booleans())
-def test_it_prints_what_the_host_reads(library: Path, cents: list[int], comma: bool) -> None:
+def test_printer_prints_what_the_host_reads(library: Path, cents: list[int], comma: bool) -> None:
     line = Program(library).line(cents, comma=comma)
     assert line == encode([value / 100 for value in cents], trailing_comma=comma)
     assert len(Decoder().feed(line)) == 1

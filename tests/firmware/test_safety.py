@@ -22,14 +22,14 @@ def first_off(ran: Ran, after: float) -> float:
     return next(time for time, duty in ran.states("duty") if time > after and duty == OFF)
 
 
-def test_motors_stop_when_commands_stop(script: Script, tmp_path: Path) -> None:
+def test_timeout_stops_motors_when_commands_stop(script: Script, tmp_path: Path) -> None:
     script.command(0.1, 1.0, FORWARD)
     ran = script.run(2.5, tmp_path)
     assert first_off(ran, 0.9) - 0.993 == pytest.approx(0.5 + RAMP, abs=0.01)
     assert ran.feedback()[-1][1] == (0.0, 0.0, 0.0, 0.0)
 
 
-def test_a_zero_command_takes_the_current_away_at_the_end_of_the_ramp(
+def test_zero_command_takes_the_current_away_at_the_end_of_the_ramp(
     script: Script, tmp_path: Path
 ) -> None:
     script.command(0.1, 1.0, FORWARD)
@@ -37,7 +37,9 @@ def test_a_zero_command_takes_the_current_away_at_the_end_of_the_ramp(
     assert first_off(script.run(1.5, tmp_path), 1.0) - 1.003 == pytest.approx(RAMP, abs=0.01)
 
 
-def test_a_program_that_hangs_is_reset_with_its_motors_off(script: Script, tmp_path: Path) -> None:
+def test_watchdog_resets_a_program_that_hangs_with_its_motors_off(
+    script: Script, tmp_path: Path
+) -> None:
     script.command(0.1, 2.0, FORWARD)
     script.order(1.0, "hang")
     ran = script.run(2.0, tmp_path)
@@ -46,7 +48,7 @@ def test_a_program_that_hangs_is_reset_with_its_motors_off(script: Script, tmp_p
     assert min(ran.at(1.9, "speeds")) > 7.5  # and goes on with the next command
 
 
-def test_bad_parts_are_skipped_and_never_turn_a_wheel(script: Script, tmp_path: Path) -> None:
+def test_parser_skips_bad_parts_which_never_turn_a_wheel(script: Script, tmp_path: Path) -> None:
     garbage = b"ap9.00,bp099.0,cq05.00,dp05.0x\r\n,,,\n\xff\x00ap\r\x80ep05.00\r\nap05.00"
     for tick in range(36):
         script.say(0.1 + tick * 0.03, garbage[tick % 5 :] if tick % 2 else b"A" * 300 + b"\n")
@@ -59,7 +61,7 @@ def test_bad_parts_are_skipped_and_never_turn_a_wheel(script: Script, tmp_path: 
     assert ran.at(2.5, "duty") == OFF
 
 
-def test_a_blocked_wheel_gets_limited_current_and_doesnt_race_when_free(
+def test_blocked_wheel_gets_limited_current_and_does_not_race_when_free(
     script: Script, tmp_path: Path
 ) -> None:
     script.command(0.1, 3.0, (4.0, 4.0, 4.0, 4.0))
@@ -78,7 +80,7 @@ def test_feedback_comes_at_its_rate_whatever_is_received(script: Script, tmp_pat
         script.say(0.1 + tick / 100, encode((30.0, 30.0, -30.0, -30.0)) * 3)
     ran = script.run(1.6, tmp_path)
     stamps = [time for time, _ in ran.feedback()]
-    gaps = [after - before for before, after in itertools.pairwise(stamps)]
+    gaps = [later - earlier for earlier, later in itertools.pairwise(stamps)]
     assert len(stamps) == 159
     assert min(gaps) > 0.0095
     assert max(gaps) < 0.0105
@@ -92,14 +94,14 @@ def test_memory_is_enough_with_a_deep_margin(chip: str, memory: int, tmp_path: P
         script.say(0.1 + tick / 100, encode((20.0, -20.0, 20.0, 20.0)) + b"ap\xff\r")
     stack = script.run(1.2, tmp_path).figures["stack"]
     size = ["avr-size", str(BUILD / f"{chip}.elf")]
-    said = subprocess.run(size, capture_output=True, text=True, check=True)
-    _, data, bss, *_ = said.stdout.splitlines()[1].split()
+    output = subprocess.run(size, capture_output=True, text=True, check=True)
+    _, data, bss, *_ = output.stdout.splitlines()[1].split()
     assert 0 < stack < 256
     assert int(data) + int(bss) + stack < memory / 2
 
 
-def test_every_file_compiles_as_the_arduino_ide_does(chip: str, tmp_path: Path) -> None:
-    """With its flags: one object a file, linked in the end; the sketch is C++."""
+def test_files_compile_as_in_the_arduino_ide(chip: str, tmp_path: Path) -> None:
+    """With its flags: one object a file, linked in the end. The sketch is C++."""
     folder = ASSETS / "firmware" / "acsar"
     flags = [f"-mmcu={chip}", "-Os", "-DF_CPU=16000000L", "-DARDUINO=10819", "-ffunction-sections"]
     objects = []
@@ -108,6 +110,7 @@ def test_every_file_compiles_as_the_arduino_ide_does(chip: str, tmp_path: Path) 
         subprocess.run(
             ["avr-gcc", "-c", "-std=gnu11", "-w", *flags, source, "-o", objects[-1]], check=True
         )
+
     sketch = tmp_path / "sketch.o"
     subprocess.run(
         ["avr-g++", "-c", "-x", "c++", *flags, folder / "acsar.ino", "-o", sketch], check=True

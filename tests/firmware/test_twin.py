@@ -58,10 +58,11 @@ def steps(script: Script, seed: int, most: float) -> None:
 
 
 @pytest.mark.parametrize(("seed", "most"), [(0, 12.0), (1, 28.0), (2, 2.0)])
-def test_the_twin_agrees_through_steps_and_reversals(
+def test_twin_agrees_through_steps_and_reversals(
     chip: str, tmp_path: Path, seed: int, most: float
 ) -> None:
-    script, twin = Script(chip), Twin()
+    script = Script(chip)
+    twin = Twin()
     steps(script, seed, most)
     ran = script.run(SECONDS + 1.0, tmp_path)
     twin.run(SECONDS + 1.0, script.sent)
@@ -69,18 +70,20 @@ def test_the_twin_agrees_through_steps_and_reversals(
     times = [min(round(time / MS) - 1, len(twin.speeds) - 1) for time, _ in states]
     true = np.array([speeds for _, speeds in states])
     assert np.abs(true - np.array(twin.speeds)[times]).max() < QUANTUM
-    board, expected = ran.feedback(), decoded(twin.sent)
+
+    board = ran.feedback()
+    expected = decoded(twin.sent)
     assert abs(len(board) - len(expected)) <= 1
     pairs = list(zip(board, expected, strict=False))
-    assert max(abs(one[0] - other[0]) for one, other in pairs) < 2.0 * MS
-    quanta = np.array([np.subtract(one[1], other[1]) for one, other in pairs]) / QUANTUM
+    assert max(abs(sent[0] - simulated[0]) for sent, simulated in pairs) < 2.0 * MS
+    quanta = np.array([np.subtract(sent[1], simulated[1]) for sent, simulated in pairs]) / QUANTUM
     # Both round to whole counts of the encoders, at slightly different moments.
     assert np.abs(quanta).max() < 2.2
     assert (np.abs(quanta) < 1.2).mean() > 0.99
 
 
 @pytest.mark.parametrize("chip", CHIPS[:1])
-def test_the_speed_loops_hold_wheels_that_are_stronger_or_weaker(chip: str, tmp_path: Path) -> None:
+def test_speed_loops_hold_wheels_that_are_stronger_or_weaker(chip: str, tmp_path: Path) -> None:
     script = Script(chip, ("--gain", "1.1,0.85,0.95,1.2", "--lag", "0.08,0.1,0.07,0.09"))
     speeds = (10.0, -4.0, 1.0, -0.3)
     script.command(0.1, 3.0, speeds)

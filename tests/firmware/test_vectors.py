@@ -13,7 +13,7 @@ import protocol_tools
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
-def test_the_pages_two_programs_find_nothing_wrong(tmp_path: Path) -> None:
+def test_vectors_pass_the_two_programs_of_the_page(tmp_path: Path) -> None:
     page = (DOCS / "protocol.md").read_text(encoding="utf-8")
     vectors = (DOCS / "protocol-vectors.json").read_text(encoding="ascii")
     (tmp_path / "protocol-vectors.json").write_text(vectors)
@@ -22,8 +22,8 @@ def test_the_pages_two_programs_find_nothing_wrong(tmp_path: Path) -> None:
         (tmp_path / name).write_text(code)
     subprocess.run([sys.executable, "make_vectors.py"], cwd=tmp_path, check=True)
     source = protocol_tools.SOURCE
-    include, board = str(source.parent), str(source)
-    build = ["cc", *protocol_tools.STRICT, "-I", include, "check.c", board, "-o", "check"]
+    options = [*protocol_tools.STRICT, "-I", str(source.parent)]
+    build = ["cc", *options, "check.c", str(source), "-o", "check"]
     subprocess.run(build, cwd=tmp_path, check=True)
     ran = subprocess.run(["./check"], cwd=tmp_path, check=True, capture_output=True, text=True)
     read = json.loads(vectors)

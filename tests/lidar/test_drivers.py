@@ -46,7 +46,7 @@ def make_none(link: Any, config: RobotConfig) -> None:
     """A factory that makes no LiDAR."""
 
 
-def test_every_model_has_a_driver_and_every_driver_is_emulated() -> None:
+def test_find_drivers_has_a_driver_for_each_model() -> None:
     drivers = find_drivers()
     made = {name: make() for name, make in drivers.items()}
     assert all(driver.product for driver in made.values())
@@ -54,13 +54,13 @@ def test_every_model_has_a_driver_and_every_driver_is_emulated() -> None:
 
 
 @pytest.mark.parametrize("model", [*find_drivers(), "LD06", "ydlidar-x4"])
-def test_urls_name_models(model: str) -> None:
+def test_open_lidar_knows_models(model: str) -> None:
     lidar = open_lidar(f"{model}:///dev/ttyUSB1", open_link("/dev/ttyUSB0", ACSAR), ACSAR)
     assert isinstance(lidar, SerialLidar)
     assert lidar.device == "/dev/ttyUSB1"
 
 
-def test_urls_name_the_simulated_one_and_ones_of_ones_own() -> None:
+def test_open_lidar_takes_the_simulated_lidar_and_a_users() -> None:
     link = open_link("planar", ACSAR)
     for url in (None, "simulated"):
         assert isinstance(open_lidar(url, link, ACSAR), SimulatedLidar)
@@ -72,7 +72,7 @@ def test_urls_name_the_simulated_one_and_ones_of_ones_own() -> None:
 
 @pytest.mark.parametrize("name", ["planar", "replay:none.mcap"])
 @pytest.mark.parametrize("wrapped", [False, True])
-def test_a_device_needs_a_link_in_real_time(name: str, wrapped: bool, tmp_path: Path) -> None:
+def test_open_lidar_needs_real_time_for_a_device(name: str, wrapped: bool, tmp_path: Path) -> None:
     link = open_link(name, ACSAR)
     if wrapped:
         link = RecordedLink(link, Recorder(tmp_path / "tape.mcap"), ACSAR)
@@ -90,7 +90,7 @@ def test_a_device_needs_a_link_in_real_time(name: str, wrapped: bool, tmp_path: 
         (f"{__name__}:Nobody", "has no attribute 'Nobody'"),
     ],
 )
-def test_what_names_no_lidar_is_refused(url: Any, said: str) -> None:
+def test_open_lidar_refuses_other_names(url: Any, said: str) -> None:
     with pytest.raises(ConfigError, match=said) as caught:
         open_lidar(url, open_link("planar", ACSAR), ACSAR)
     assert "\n" not in str(caught.value)

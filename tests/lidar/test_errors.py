@@ -25,7 +25,7 @@ TRAITS = LidarTraits(
 
 
 def measure(true: float, revolutions: int = 300, beside: float = 0.0, **traits: float) -> Any:
-    """Distances of many revolutions, (revolutions, 64); every second one is `beside` further."""
+    """Distances of many revolutions, (revolutions, 64). Every second ray is `beside` further."""
     measured = np.full((revolutions, 64), true)
     measured[:, ::2] += beside
     for number, distances in enumerate(measured):
@@ -33,7 +33,7 @@ def measure(true: float, revolutions: int = 300, beside: float = 0.0, **traits: 
     return measured
 
 
-def test_noise_is_normal_and_every_measurement_has_its_own() -> None:
+def test_add_errors_draws_normal_noise_for_each_measurement() -> None:
     errors = (measure(2.0, noise=0.02) - 2.0) / 0.02
     assert errors.mean() == pytest.approx(0.0, abs=0.03)
     assert errors.std() == pytest.approx(1.0, abs=0.03)
@@ -44,7 +44,7 @@ def test_noise_is_normal_and_every_measurement_has_its_own() -> None:
     assert (measure(0.1, noise=1.0) > 0.0).all()  # near, not nothing
 
 
-def test_dropouts_bias_and_outliers() -> None:
+def test_add_errors_adds_dropouts_bias_and_outliers() -> None:
     measured = measure(2.0, noise=0.01, dropouts=0.2)
     assert np.mean(measured == 0.0) == pytest.approx(0.2, abs=0.015)
     assert (np.abs(measured[measured > 0.0] - 2.0) < 0.1).all()

@@ -42,7 +42,7 @@ def angles_between(first: float, second: Floats) -> Floats:
     return np.abs(np.mod(second - first + math.pi, FULL_TURN) - math.pi)
 
 
-def test_rays_are_counted_from_the_first_ray_and_its_stamp() -> None:
+def test_read_scan_counts_rays_from_the_first_ray_and_its_stamp() -> None:
     revolution = read(SCAN)
     assert revolution.bearings == pytest.approx([-0.5, -0.25, 0.0, 0.25, 0.5])
     assert revolution.distances.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
@@ -53,19 +53,19 @@ def test_rays_are_counted_from_the_first_ray_and_its_stamp() -> None:
     assert clockwise.times == pytest.approx(revolution.times)
 
 
-def test_a_turn_takes_the_time_of_the_scan_if_rays_have_no_times() -> None:
+def test_read_scan_takes_the_time_of_the_scan_if_rays_have_no_times() -> None:
     scan = SCAN._replace(time_increment=0.0, angle_increment=-FULL_TURN / 20.0)
     assert read(scan).times == pytest.approx([7.0, 7.005, 7.01, 7.015, 7.02])
     assert read(scan._replace(scan_time=0.0)).times.tolist() == [7.0] * 5
 
 
-def test_a_head_that_turns_against_the_order_of_rays_ends_with_the_first_ray() -> None:
+def test_read_scan_of_a_head_against_the_order_of_rays_ends_with_the_first_ray() -> None:
     revolution = read(SCAN._replace(time_increment=-0.01))
     assert revolution.times == pytest.approx([7.0, 6.99, 6.98, 6.97, 6.96])
     assert revolution.stamp == 7.0
 
 
-def test_failures_are_zero_and_too_near_is_near() -> None:
+def test_read_scan_makes_failures_zero() -> None:
     ranges = array("f", [INF, NAN, 0.05, 10.5, 0.0, -1.0, 9.5, -INF])
     assert read(SCAN._replace(ranges=ranges)).distances.tolist() == [0.0] * 6 + [9.5, 0.1]
     unlimited = SCAN._replace(ranges=[1e7, 20.0], range_max=INF)
@@ -73,7 +73,7 @@ def test_failures_are_zero_and_too_near_is_near() -> None:
 
 
 def make_transform(roll: float, pitch: float, yaw: float, *, scale: float = 1.0) -> Any:
-    """The geometry_msgs/Transform of a URDF's rpy; a quaternion may have any length."""
+    """The geometry_msgs/Transform of a URDF's rpy. A quaternion may have any length."""
     cr, cp, cy = (math.cos(angle / 2.0) for angle in (roll, pitch, yaw))
     sr, sp, sy = (math.sin(angle / 2.0) for angle in (roll, pitch, yaw))
     rotation = SimpleNamespace(
@@ -86,7 +86,7 @@ def make_transform(roll: float, pitch: float, yaw: float, *, scale: float = 1.0)
 
 
 @given(yaw=ANGLES, roll=st.floats(-0.05, 0.05), pitch=st.floats(-0.05, 0.05))
-def test_bearings_are_turned_by_the_yaw_of_the_mount(yaw: float, roll: float, pitch: float) -> None:
+def test_read_mount_turns_bearings_by_its_yaw(yaw: float, roll: float, pitch: float) -> None:
     mount = read_mount(make_transform(roll, pitch, yaw, scale=1.5), "/scan")
     assert mount[:2] == (0.2, -0.1)
     assert angles_between(yaw, np.array(mount.yaw)) < 1e-9
@@ -95,7 +95,7 @@ def test_bearings_are_turned_by_the_yaw_of_the_mount(yaw: float, roll: float, pi
     assert angles_between(yaw - 0.5, bearings)[0] < 1e-9
 
 
-def test_measurements_are_moved_by_the_place_of_the_mount() -> None:
+def test_read_scan_moves_measurements_by_the_mount() -> None:
     revolution = read(SCAN._replace(angle_min=0.0, ranges=[2.0, INF]), Mount(1.0, 3.0, math.pi / 2))
     assert revolution.bearings == pytest.approx([math.atan2(5.0, 1.0), math.pi / 2 + 0.25])
     assert revolution.distances == pytest.approx([math.hypot(1.0, 5.0), 0.0])
@@ -109,7 +109,7 @@ def test_measurements_are_moved_by_the_place_of_the_mount() -> None:
         (make_transform(math.pi, 0.0, 0.3), "is tilted by 180.0 degrees: .* upside down"),
     ],
 )
-def test_a_bad_mount_is_one_line(transform: Any, message: str) -> None:
+def test_read_mount_refuses_a_bad_transform(transform: Any, message: str) -> None:
     with pytest.raises(LidarError, match=message) as caught:
         read_mount(transform, "/scan")
     assert str(caught.value).isprintable()
@@ -131,7 +131,7 @@ def test_a_bad_mount_is_one_line(transform: Any, message: str) -> None:
         ),
     ],
 )
-def test_a_bad_scan_is_one_line(fields: dict[str, float], message: str) -> None:
+def test_read_scan_refuses_bad_fields(fields: dict[str, float], message: str) -> None:
     with pytest.raises(LidarError, match=message) as caught:
         read(SCAN._replace(**fields))
     assert str(caught.value).isprintable()
@@ -155,7 +155,7 @@ def revolutions(draw: st.DrawFn) -> Revolution:
 
 
 @given(revolutions())
-def test_a_revolution_comes_back_from_its_message(revolution: Revolution) -> None:
+def test_make_scan_is_read_back_as_the_revolution(revolution: Revolution) -> None:
     scan = make_scan(revolution, 0.1, 12.1)
     assert scan.angle_increment > 0.0
     returned = read(scan)
@@ -173,7 +173,7 @@ def test_a_revolution_comes_back_from_its_message(revolution: Revolution) -> Non
     st.lists(st.tuples(ANGLES, st.floats(0.0, 20.0), st.floats(0.0, 1.0)), min_size=1, max_size=40),
     st.integers(1, 60),
 )
-def test_each_ray_has_the_nearest_measurement(
+def test_make_scan_gives_each_ray_the_nearest_measurement(
     measurements: list[tuple[float, float, float]], rays: int
 ) -> None:
     bearings, distances, times = np.array(measurements).T
@@ -194,7 +194,7 @@ def test_each_ray_has_the_nearest_measurement(
             assert np.isclose(distance, near, atol=1e-6).any()
 
 
-def test_a_scanner_of_part_of_a_turn_keeps_its_density_and_its_rate() -> None:
+def test_make_scan_of_a_part_of_a_turn_keeps_density_and_rate() -> None:
     bearings = np.radians(np.arange(120.0, -121.0, -1.0))  # clockwise
     times = 5.0 + np.arange(241.0) * 0.1 / 360.0
     scan = make_scan(Revolution(bearings, np.full(241, 2.0), times, times[-1]), 0.1, 5.0)
@@ -205,7 +205,7 @@ def test_a_scanner_of_part_of_a_turn_keeps_its_density_and_its_rate() -> None:
     assert scan.stamp == pytest.approx(times[-1], abs=1e-6)
 
 
-def test_the_grid_stays_if_the_head_starts_earlier() -> None:
+def test_make_scan_keeps_its_grid() -> None:
     first, second = (
         Revolution(start - np.arange(360.0) * DEGREE, np.ones(360), np.arange(360.0) / 3600.0, 0.1)
         for start in (0.0, 3.2 * DEGREE)
@@ -218,7 +218,7 @@ def test_the_grid_stays_if_the_head_starts_earlier() -> None:
     assert following.stamp == pytest.approx(scan.stamp + 3.2 / 3600.0, abs=1e-6)
 
 
-def test_measurements_at_the_same_time_are_a_message_without_times() -> None:
+def test_make_scan_of_one_moment_has_no_times() -> None:
     still = Revolution(np.array([0.0, 2.0, 4.0]), np.ones(3), np.full(3, 5.0), 5.0)
     scan = make_scan(still, 0.1, 5.0)
     assert (scan.time_increment, scan.scan_time, scan.stamp) == (0.0, 0.0, 5.0)

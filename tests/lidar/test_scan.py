@@ -79,7 +79,7 @@ def exact(config: RobotConfig = CONFIG) -> Floats:
 @pytest.mark.parametrize("start", [(0j, 0.0), (3.0 - 2.0j, 3.1)], ids=["origin", "elsewhere"])
 @pytest.mark.parametrize("ended", [0.0, -0.03, -0.099])
 @pytest.mark.parametrize("twist", TWISTS)
-def test_a_scan_is_as_seen_from_the_present_pose(
+def test_fill_scan_is_as_seen_from_the_present_pose(
     twist: Twist, ended: float, start: tuple[complex, float]
 ) -> None:
     """A robot that turns against the head leaves a gap between the ends of a revolution, which two
@@ -92,7 +92,7 @@ def test_a_scan_is_as_seen_from_the_present_pose(
         assert np.abs(unmoved - exact()).max() > 0.04
 
 
-def test_a_long_gap_without_measurements_is_free() -> None:
+def test_fill_scan_leaves_a_long_gap_free() -> None:
     still = revolve(STANDSTILL, 0.0)
     gap = np.abs(np.remainder(still.bearings + math.pi, 2.0 * math.pi) - math.pi) < 0.5
     kept = [values[~gap] for values in (still.bearings, still.distances, still.times)]
@@ -105,14 +105,14 @@ def test_a_long_gap_without_measurements_is_free() -> None:
 
 
 @pytest.mark.parametrize("view", [1.0, 3.0, 6.0])
-def test_rays_of_a_part_of_a_turn(view: float) -> None:
+def test_fill_scan_fills_a_part_of_a_turn(view: float) -> None:
     config = CONFIG.with_(lidar={"field_of_view": view})
     ranges = scan(revolve((0.3, 0.8), -0.02), (0.3, 0.8), config=config)
     assert np.sort(np.abs(ranges - exact(config)))[-3] < 0.03
 
 
 @given(st.data())
-def test_each_ray_has_what_lies_between_the_measurements_next_to_it(data: Any) -> None:
+def test_fill_scan_interpolates_between_neighbours(data: Any) -> None:
     """Or the range of the nearer measurement, if they can't lie on one surface."""
     rays = make_rays(CONFIG)
     count = data.draw(st.sampled_from([40, 64, 200, 720]))

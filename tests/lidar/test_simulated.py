@@ -83,7 +83,7 @@ class Ways(NamedTuple):
     movers: list[Floats]
 
     def mark(self, link: SimulatedLink, config: RobotConfig) -> float:
-        """Add the present places; returns the heading."""
+        """Add the present places, and return the heading."""
         x, y, theta = link.truth.pose
         mount = complex(config.lidar_x_offset, config.lidar_y_offset) * np.exp(1j * theta)
         self.times.append(link.now())
@@ -118,7 +118,7 @@ def measure_exactly(
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("kind", MOVERS)
-def test_each_beam_meets_movers_where_they_were(kind: str, robot: str) -> None:
+def test_simulated_lidar_meets_movers_where_they_were(kind: str, robot: str) -> None:
     config = ROBOTS[robot]
     world = World(movers=MOVERS[kind], **ROOM)  # type: ignore[arg-type]
     empty = World(**ROOM)  # type: ignore[arg-type]

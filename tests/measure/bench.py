@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -19,7 +19,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import pybullet
 from rich.console import Console
 from rich.table import Table
 
@@ -27,7 +26,6 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.links import open_link
-from acsar_gym.odometry import Odometry
 from acsar_gym.physics.bullet import BulletBody
 from acsar_gym.protocol import Decoder, encode
 from acsar_gym.recording import Recorder
@@ -61,10 +59,10 @@ Measurement = Callable[[], float]
 
 def mean_duration(call: Callable[[], object], times: int) -> float:
     """Return the mean duration of `times` calls [s]."""
-    begin = time.perf_counter()
+    start = time.perf_counter()
     for _ in range(times):
         call()
-    return (time.perf_counter() - begin) / times
+    return (time.perf_counter() - start) / times
 
 
 def median_duration(call: Callable[[], object], times: int) -> float:
@@ -85,6 +83,7 @@ def crowded_world(circles: int, segments: int, seed: int = 0) -> World:
     """Make a world with obstacles all around its start, at least 1.5 m away."""
     rng = np.random.default_rng(seed)
     count = circles + segments
+
     bearing, turn = rng.uniform(-math.pi, math.pi, (2, count))
     distance = rng.uniform(1.5, 6.0, count)
     x = distance * np.cos(bearing)
@@ -100,12 +99,12 @@ def crowded_world(circles: int, segments: int, seed: int = 0) -> World:
     )
 
 
-def make_walkers(reacts: bool, seed: int) -> list[Mover]:
+def make_walkers(seed: int) -> list[Mover]:
     """Draw people who walk there and back, past the start of `crowded_world` at 1 m or more."""
     rng = np.random.default_rng(seed)
     walkers: list[Mover] = []
     while len(walkers) < MOVERS:
-        walker = walk(rng.uniform(-6.0, 6.0, (4, 2)), rng.uniform(0.4, 1.6), reacts=reacts)
+        walker = walk(rng.uniform(-6.0, 6.0, (4, 2)), rng.uniform(0.4, 1.6))
         times = np.linspace(0.0, walker.duration, 100).tolist()
         if min(math.hypot(*walker.position(time)) for time in times) > 1.0:
             walkers.append(walker)
@@ -119,50 +118,31 @@ def make_env(env_id: str, link: str, **options: Any) -> gymnasium.Env[Any, Any]:
     return env
 
 
-def drive_randomly(env: gymnasium.Env[Any, Any], *, count_resets: bool = True) -> float:
-    """Drive a block with random actions, and return the duration of a tick [s]."""
-    inner: Any = env.unwrapped
+def drive_randomly(env: gymnasium.Env[Any, Any]) -> float:
+    """Drive a block with random actions, resets included, and return the duration of a step [s]."""
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (ENV_STEPS, 2)).astype(np.float32)
-    spent = 0.0
+    start = time.perf_counter()
     for action in actions:
-        begin = time.perf_counter()
         _, _, terminated, truncated, _ = env.step(action)
-        spent += time.perf_counter() - begin
         if terminated or truncated:
-            reset = mean_duration(env.reset, 1)
-            spent += reset * count_resets
-    return spent / (ENV_STEPS * float(inner.ticks_per_step))
+            env.reset()
+    return (time.perf_counter() - start) / ENV_STEPS
 
 
-def measure_bullet() -> Iterator[Figure]:
-    """Compare the whole PyBullet env with the bare stepSimulation calls that it makes."""
-    env = make_env("PointGoal-v0", "bullet")
-    other = make_env("PointGoal-v0", "bullet")
-    inner: Any = other.unwrapped
+def measure_envs() -> Iterator[Figure]:
+    """Measure single envs, serial protocol included, without obstacles and with them."""
     config = RobotConfig.of(None)
-    calls = round(config.firmware.loop_rate / config.control_rate)
-    bare = partial(pybullet.stepSimulation, inner.robot.link.body._engine.number)
+    for name, link in (("PyBullet", "bullet"), ("planar", "planar")):
+        env = make_env("PointGoal-v0", link)
+        inner: Any = env.unwrapped
+        tick = median(drive_randomly(env) for _ in range(BLOCKS)) / inner.ticks_per_step
+        yield f"{name}: env, wire included, per tick", tick * 1e6, "us"
+        yield f"{name}: env speed", config.period / tick, "x real time"
 
-    def drive_bare() -> float:
-        other.reset()
-        other.step(np.array([1.0, 0.3], np.float32))  # so that the bare robot moves, too
-        return calls * mean_duration(bare, 10 * ENV_STEPS)
-
-    tick, engine, ratio = alternate(partial(drive_randomly, env), drive_bare)
-    yield "PyBullet: bare stepSimulation calls of a tick", engine * 1e6, "us"
-    yield "PyBullet: env, wire included, per tick", tick * 1e6, "us"
-    yield "PyBullet: env against the bare calls", ratio, "x the time"
-    yield "PyBullet: env speed", config.period / tick, "x real time"
-    yield "PyBullet: env steps", 1.0 / (tick * inner.ticks_per_step), "steps/s"
-
-
-def measure_planar() -> Iterator[Figure]:
-    """Measure the single planar env."""
-    env = make_env("PointGoal-v0", "planar")
-    tick = median(drive_randomly(env) for _ in range(BLOCKS))
-    yield "planar: env, wire included, per tick", tick * 1e6, "us"
-    yield "planar: env speed", RobotConfig.of(None).period / tick, "x real time"
-    yield "planar: reset", median_duration(env.reset, 20) * 1e6, "us"
+    env = make_env("ObstacleGoal-v1", "bullet", worlds=crowded_world(50, 10))
+    step = median(drive_randomly(env) for _ in range(BLOCKS))
+    speed = inner.ticks_per_step * config.period / step
+    yield "PyBullet ObstacleGoal, 64 rays, 60 obstacles", speed, "x real time"
 
 
 def measure_rays() -> Iterator[Figure]:
@@ -180,33 +160,13 @@ def measure_rays() -> Iterator[Figure]:
     height = config.lidar_z_offset
     starts = [(0.0, 0.0, height)] * len(angles)
     ends = [(reach * math.cos(angle), reach * math.sin(angle), height) for angle in angles]
-    cast = partial(cast_lines, 0.0, 0.0, 1.0, 0.0, 0, around, origins, ranges)
+    pose = (0.0, 0.0, 1.0, 0.0)
+    cast = partial(cast_lines, *pose, 0, around, origins, ranges)
     test = partial(body._engine.rayTestBatch, starts, ends)
-    theirs, ours, ratio = alternate(
-        partial(mean_duration, test, 20), partial(mean_duration, cast, 200)
-    )
+    _, ours, ratio = alternate(partial(mean_duration, test, 20), partial(mean_duration, cast, 200))
     body.close()
     yield "64 rays among 100 obstacles", ours * 1e6, "us"
-    yield "the same by PyBullet's rayTestBatch", theirs * 1e6, "us"
     yield "rayTestBatch against ours", ratio, "x the time"
-
-
-def measure_obstacles() -> Iterator[Figure]:
-    """Measure the whole PyBullet env among obstacles, serial protocol and LiDAR included."""
-    empty, some, many = (
-        partial(
-            drive_randomly,
-            make_env("ObstacleGoal-v1", "bullet", worlds=crowded_world(*counts)),
-            count_resets=False,
-        )
-        for counts in ((0, 0), (50, 10), (250, 50))
-    )
-    crowded_tick, empty_tick, _ = alternate(some, empty)
-    ratio = alternate(many, empty)[2]
-    period = RobotConfig.of(None).period
-    yield "PyBullet ObstacleGoal, empty world", period / empty_tick, "x real time"
-    yield "PyBullet ObstacleGoal, 64 rays, 60 obstacles", period / crowded_tick, "x real time"
-    yield "PyBullet ObstacleGoal, 300 obstacles against none", ratio, "x the time"
 
 
 def measure_pictures() -> Iterator[Figure]:
@@ -215,6 +175,7 @@ def measure_pictures() -> Iterator[Figure]:
     view = TopView(config, (480, 480))
     turns = np.linspace(0.0, 6.0, 500)
     path = np.column_stack([turns / 3.0, np.sin(turns)]).tolist()
+
     frame = TopViewFrame(
         world=crowded_world(250, 50),
         odom=(2.0, 0.0, 0.3),
@@ -265,71 +226,47 @@ def step_batch(
 
 
 def measure_batches() -> Iterator[Figure]:
-    """Measure batches: against the PyBullet env, by cores, and by size."""
+    """Measure batches on one core and on all cores, and against the PyBullet env."""
     robots = BATCH_ROBOTS
     cores = usable_cores()
-    seeing = {
-        "worlds": [crowded_world(50, 10, seed) for seed in range(WORLDS)],
-        "robot": RobotConfig.of(None).with_(lidar={"noise": 0.0}),
-    }
-    step, _, gain = alternate(
-        step_batch(PointGoalVectorEnv, robots), step_batch(PointGoalVectorEnv, robots, cores)
-    )
-    seeing_step, _, seeing_gain = alternate(
-        step_batch(ObstacleGoalVectorEnv, robots, **seeing),
-        step_batch(ObstacleGoalVectorEnv, robots, cores, **seeing),
-    )
-    own, small, large = (
-        median(measurement() for _ in range(BLOCKS))
-        for measurement in (
-            step_batch(partial(RobotVectorEnv, OwnGoal), robots),
-            step_batch(PointGoalVectorEnv, 16),
-            step_batch(PointGoalVectorEnv, 16 * robots),
-        )
-    )
-    yield f"batch of {robots} planar robots, one core", robots / step, "steps/s"
-    yield f"batch on {cores} cores against one", gain, "x the steps"
-    yield "batch with 64 rays and 60 obstacles, one core", robots / seeing_step, "steps/s"
-    yield f"that batch on {cores} cores against one", seeing_gain, "x the steps"
-    yield "batch with a user's compiled task, one core", robots / own, "steps/s"
-    yield "batch of 16 robots: one step call", small * 1e6, "us"
-    yield f"batch of {16 * robots:,} robots, a robot", large / (16 * robots) * 1e6, "us"
-
-
-def measure_movers() -> Iterator[Figure]:
-    """Measure ObstacleGoal's batch among walkers, and among people who react, against none."""
     worlds = [crowded_world(50, 10, seed) for seed in range(WORLDS)]
-    bare, walkers, people = (
-        step_batch(
-            ObstacleGoalVectorEnv,
-            MOVER_ROBOTS,
-            worlds=[
-                world if reacts is None else replace(world, movers=make_walkers(reacts, seed))
-                for seed, world in enumerate(worlds)
-            ],
-        )
-        for reacts in (None, False, True)
-    )
-    _, step, among_walkers = alternate(bare, walkers)
-    among_people = alternate(bare, people)[2]
-    size = f"batch of {MOVER_ROBOTS}, {MOVERS}"
-    yield f"{size} walkers, one core", MOVER_ROBOTS / step, "steps/s"
-    yield f"{size} walkers against none", among_walkers, "x the steps"
-    yield f"{size} people who react against none", among_people, "x the steps"
+    kinds: list[tuple[str, str, Callable[..., RobotVectorEnv]]] = [
+        (f"batch of {robots} planar robots, one core", "batch", PointGoalVectorEnv),
+        (
+            "batch with 64 rays and 60 obstacles, one core",
+            "that batch",
+            partial(ObstacleGoalVectorEnv, worlds=worlds),
+        ),
+    ]
+    for name, short_name, kind in kinds:
+        step, _, gain = alternate(step_batch(kind, robots), step_batch(kind, robots, cores))
+        yield name, robots / step, "steps/s"
+        yield f"{short_name} on {cores} cores against one", gain, "x the steps"
+
+    blind = step_batch(PointGoalVectorEnv, robots)
+    single = make_env("PointGoal-v0", "bullet")
+    ratio = alternate(partial(drive_randomly, single), blind)[2]
+    own_task = step_batch(partial(RobotVectorEnv, OwnGoal), robots)
+    own_step = median(own_task() for _ in range(BLOCKS))
+    yield "PyBullet: env steps", 1.0 / drive_randomly(single), "steps/s"
+    yield "batch against the PyBullet env", ratio * robots, "x the steps"
+    yield "batch with a user's compiled task, one core", robots / own_step, "steps/s"
+
+    walkers = [replace(world, movers=make_walkers(seed)) for seed, world in enumerate(worlds)]
+    among = step_batch(partial(ObstacleGoalVectorEnv, worlds=walkers), MOVER_ROBOTS)
+    step = median(among() for _ in range(BLOCKS))
+    yield f"batch of {MOVER_ROBOTS}, {MOVERS} walkers, one core", MOVER_ROBOTS / step, "steps/s"
 
 
 def measure_wire() -> Iterator[Figure]:
-    """Measure codec and odometry, with wheel speeds that change in every line."""
+    """Measure the codec, with wheel speeds that change in every line."""
     speeds = np.random.default_rng(0).uniform(-9.0, 9.0, (2000, 4)).tolist()
-    update = partial(Odometry(0.05, 0.3).update, dt=0.01)
-    measured: list[tuple[str, Callable[[Any], object], Sequence[Any]]] = [
-        ("encode one line", encode, speeds),
-        ("decode one line", Decoder().feed, [encode(row) for row in speeds]),
-        ("odometry update", update, speeds),
-    ]
-    for name, call, items in measured:
-        seconds = median_duration(lambda call=call, items=items: [*map(call, items)], 1)  # type: ignore[misc]
-        yield name, seconds / len(items) * 1e6, "us"
+    lines = [encode(row) for row in speeds]
+    decoder = Decoder()
+    encoding = median_duration(lambda: [encode(row) for row in speeds], 1)
+    decoding = median_duration(lambda: [decoder.feed(line) for line in lines], 1)
+    yield "encode one line", encoding / len(lines) * 1e6, "us"
+    yield "decode one line", decoding / len(lines) * 1e6, "us"
 
 
 def measure_recording() -> Iterator[Figure]:
@@ -340,10 +277,10 @@ def measure_recording() -> Iterator[Figure]:
     config = RobotConfig.of(None).with_(lidar={"rays": 360, "rate": 100.0})
 
     def measure_tick(robot: Robot) -> float:
-        begin = time.thread_time()
+        start = time.thread_time()
         for _ in range(ENV_STEPS):
             robot.drive(0.3, 0.2)
-        spent = time.thread_time() - begin
+        spent = time.thread_time() - start
         time.sleep(0.05)  # the writer catches up
         return spent / ENV_STEPS
 
@@ -359,12 +296,12 @@ def measure_recording() -> Iterator[Figure]:
 
 
 def measure_policies() -> Iterator[Figure]:
-    """Measure one decision of packaged policies, and an update of the map during a drive."""
-    for name, title in (("point_goal", ""), ("obstacle_goal", " with a map")):
-        policy = OnnxPolicy(name)
-        decide = partial(policy, np.zeros(policy.width, np.float32))
-        yield f"ONNX policy{title}, one decision", median_duration(decide, 1000) * 1e6, "us"
+    """Measure a decision of a packaged policy, and an update of the map during a drive."""
+    policy = OnnxPolicy("point_goal")
+    decide = partial(policy, np.zeros(policy.width, np.float32))
+    yield "ONNX policy, one decision", median_duration(decide, 1000) * 1e6, "us"
 
+    policy = OnnxPolicy("obstacle_goal")
     env = make_env("ObstacleGoal-v1", "planar", worlds="clutter:1-20")
     inner: Any = env.unwrapped
     sensor = find_map(inner.robot.sensors)
@@ -383,13 +320,10 @@ def measure_policies() -> Iterator[Figure]:
 
 
 MEASUREMENTS = (
-    measure_bullet,
-    measure_planar,
+    measure_envs,
     measure_rays,
-    measure_obstacles,
     measure_pictures,
     measure_batches,
-    measure_movers,
     measure_wire,
     measure_recording,
     measure_policies,

@@ -45,7 +45,7 @@ STEERING = ("point_goal", "obstacle_goal", "path_follow")
 STRAIGHT = ((0.2, 0.0), (0.3, 0.0), (0.6, 0.0), (1.0, 0.0), (-0.5, 0.0))
 CURVES = ((0.0, 0.5), (0.0, -1.0), (0.5, 0.4), (0.8, -0.5), (1.0, 0.5))
 """Steady drives, as shares of the full speeds."""
-ROUNDS = 4  # of the steady drives; in half of them the fault happens while driving
+ROUNDS = 4  # of the steady drives. In half of them the fault happens while driving
 POLICY_SEEDS = 8
 FAULT_DELAY = (0.5, 2.0)  # range of the time from the first command to a fault while driving [s]
 DURATION = 6.0  # of a steady drive [s]
@@ -68,10 +68,10 @@ class CheckedLink(FaultyBoard):
     lateness = None
 
     def __init__(
-        self, link: Any, rng: np.random.Generator, known: RobotConfig, **options: Any
+        self, link: Any, rng: np.random.Generator, assumed: RobotConfig, **options: Any
     ) -> None:
         super().__init__(link, rng, **options)
-        self._known = known
+        self._known = assumed
         self.error: WheelError | None = None
 
     def reset(self, scene: Any) -> None:
@@ -97,8 +97,8 @@ def make_faulty(kind: str, config: RobotConfig, seed: int, *, driving: bool) -> 
     """Make a robot with a fault from its first command, or while it is driving."""
     rng = np.random.default_rng(seed)
     fault = make_fault(kind, wheel=int(rng.integers(4)))
-    after = rng.uniform(*FAULT_DELAY) if driving else 0.0
-    return CheckedLink(open_link("planar", config), rng, config, fault=fault, after=after)
+    delay = rng.uniform(*FAULT_DELAY) if driving else 0.0
+    return CheckedLink(open_link("planar", config), rng, config, fault=fault, after=delay)
 
 
 def check_steady(kind: str, config: RobotConfig) -> list[float]:
@@ -165,13 +165,13 @@ def show_errors(body: str) -> None:
     """Let policies drive sound robots in a simulator, and print the errors."""
     table = Table("robot", "episodes", "minutes", "errors", title=f"sound robots: {body}")
     for preset in PRESETS:
-        known = RobotConfig.preset(preset)
+        assumed = RobotConfig.preset(preset)
         minutes = 0.0
         errors = []
         cases = list(itertools.product(POLICIES, RATES, MOTORS))
         for seed, (name, rate, motor) in enumerate(cases):
             window = min(1.0 / rate, 0.2) if seed % 2 else 0.05
-            config = known.with_(
+            config = assumed.with_(
                 firmware={"feedback_rate": rate},
                 encoder={"window": window},
                 motor=motor,
@@ -179,7 +179,7 @@ def show_errors(body: str) -> None:
             )
 
             rng = np.random.default_rng(seed)
-            link = CheckedLink(open_link(body, config), rng, known, dropped=DROPPED)
+            link = CheckedLink(open_link(body, config), rng, assumed, dropped=DROPPED)
             drawn = randomization_level(config, LEVEL)
             minutes += drive_policy(name, link, config, seed, randomization=drawn) / 60.0
             if link.error is not None:

@@ -109,7 +109,7 @@ except AcsarError as error:
     print(f"acsar-gym: {error}", file=sys.stderr)
     sys.exit(error.exit_code)
 """
-"""Drives until a fault, which it may cause itself; prints the time once it drives."""
+"""Drives until a fault, which it may cause itself, and prints the time once it drives."""
 INTERRUPTED = """
 import signal, sys
 from acsar_gym import RobotConfig, open_link
@@ -202,7 +202,7 @@ class Processes(contextlib.ExitStack):
         if kind == "board":
             config.save(file)
             board = self.enter_context(contextlib.closing(start(log, "--robot", str(file))))
-            options = ("--link", board.device, "--robot", str(file), "--without-estop")
+            options = ("--link", board.device, "--robot", str(file))
             node = self.run(HEEDING_CTRL_C, "ros", "driver", *options)
             return node, file, partial(list_commands, board)
 
@@ -229,7 +229,7 @@ def run_trial(times: Times, folder: Path) -> None:
         if kind.victim in ("driver", "commander"):
             commander = processes.run(COMMANDER)
         elif kind.victim == "policy":
-            options = ("--robot", str(file), "--yes", "--without-estop")
+            options = ("--robot", str(file), "--yes")
             commander = processes.run(HEEDING_CTRL_C, *POLICY, *options)
         else:
             commander = processes.run(DRIVING, str(file), own_fault, str(random.randrange(40, 60)))
@@ -329,6 +329,7 @@ def count_interrupts(trials: int) -> int:
     ):
         _, file, _ = processes.run_robot("foreign")
         driving = processes.run(INTERRUPTED, str(file))
+
         for _ in range(trials):
             assert first_line(driving) == "drives", driving.errors
             time.sleep(random.uniform(0.0, 0.1))

@@ -123,7 +123,7 @@ def measure(seconds: float) -> list[Figure]:
         config.save(file)
         board = stack.enter_context(emulated_board(config, lidar=True))
         options = ["--link", board.device, "--lidar", f"rplidar://{board.lidar_device}"]
-        options += ["--robot", str(file), "--without-estop"]
+        options += ["--robot", str(file)]
         driver = subprocess.Popen([sys.executable, "-m", "acsar_gym", "ros", "driver", *options])
         stack.callback(driver.wait)
         stack.callback(driver.send_signal, signal.SIGINT)
@@ -148,8 +148,8 @@ def measure(seconds: float) -> list[Figure]:
     commands = sorted(arrivals.commands)
     places = ((state, bisect.bisect(commands, state)) for state in arrivals.states)
     waits = sorted(commands[place] - state for state, place in places if place < len(commands))
-    (late_before, ticks_before), (late_after, ticks_after) = arrivals.ticks[0], arrivals.ticks[-1]
-    late_share = (late_after - late_before) / (ticks_after - ticks_before)
+    late_ticks = arrivals.ticks[-1][0] - arrivals.ticks[0][0]
+    late_share = late_ticks / (arrivals.ticks[-1][1] - arrivals.ticks[0][1])
     percentile = waits[round(0.95 * len(waits)) - 1]
     return [
         Figure("CPU of the driver", driver_cpu / seconds, limit=0.25),

@@ -107,7 +107,7 @@ robot.activate()
 while True:
     robot.drive(0.0, 0.0)
 """
-"""Drives until a fault, which it may cause itself; prints the time when it drives."""
+"""Drives until a fault, which it may cause itself, and prints the time when it drives."""
 
 
 @dataclass(frozen=True, slots=True)

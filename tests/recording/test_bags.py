@@ -72,12 +72,12 @@ def test_open_recording_reads_a_folder(storage: StoragePlugin, tape: Path, tmp_p
 
 
 def test_open_recording_reads_files_by_their_numbers(tape: Path, tmp_path: Path) -> None:
-    """Number 10 follows number 9; names don't sort so."""
+    """Number 10 follows number 9, unlike in the order of names."""
     bag = make_bag(tape, TOPICS)
     (tmp_path / "bag").mkdir()
     for number in range(12):
-        part = bag[number * len(bag) // 12 : (number + 1) * len(bag) // 12]
-        write_mcap(tmp_path / f"bag/bag_{number}.mcap", part)
+        piece = bag[number * len(bag) // 12 : (number + 1) * len(bag) // 12]
+        write_mcap(tmp_path / f"bag/bag_{number}.mcap", piece)
     assert_same_drive(read_bag(tmp_path / "bag"), tape)
 
 

@@ -77,7 +77,7 @@ def test_frames_form_the_tree_of_a_base_with_a_lidar(messages: Messages) -> None
 def test_messages_hold_what_the_robot_did(tape: Path, messages: Messages) -> None:
     (episode,) = read(tape).episodes
     for tick in (0, 60, TICKS - 1):
-        odom, joints, asked, sent = (
+        odom, joints, wanted, sent = (
             messages[f"/{name}"][tick]
             for name in ("odom", "joint_states", "cmd_vel", "cmd_vel_sent")
         )
@@ -88,7 +88,7 @@ def test_messages_hold_what_the_robot_did(tape: Path, messages: Messages) -> Non
         assert odom.twist.twist.angular.z == episode.twists[tick, 1]
         assert joints.name[0] == "front_right_wheel_joint"
         assert joints.velocity.tolist() == episode.speeds[tick].tolist()
-        assert [asked.linear.x, asked.angular.z] == episode.asked[tick].tolist()
+        assert [wanted.linear.x, wanted.angular.z] == episode.asked[tick].tolist()
         assert [sent.linear.x, sent.angular.z] == episode.sent[tick].tolist()
     assert episode.asked[0].tolist() == [0.3, 0.0]
     assert episode.sent[0].tolist() == [0.02, 0.0]

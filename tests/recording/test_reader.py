@@ -45,9 +45,9 @@ def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_env(path, "obstacle_goal", 2, worlds=HALL)
 
 
-def assert_part_of(recording: Recording, whole: Recording) -> None:
+def assert_part_of(recording: Recording, original: Recording) -> None:
     """Everything that was read is what was written."""
-    episodes = {episode.offset: episode for episode in whole.episodes}
+    episodes = {episode.offset: episode for episode in original.episodes}
     for episode in recording.episodes:
         full = episodes[episode.offset]
         kept = np.isin(full.stamps, episode.stamps)
@@ -87,7 +87,7 @@ def find_blocks(tape: Path) -> list[int]:
 
 def test_read_reports_each_flipped_bit(tape: Path, tmp_path: Path) -> None:
     """In the exact data and in the messages for other programs."""
-    whole = read(tape)
+    original = read(tape)
     size = tape.stat().st_size
     rng = np.random.default_rng(5)
     for place in [*rng.integers(0, size, 200), *range(0, 60, 3), *range(size - 40, size, 3)]:
@@ -95,20 +95,20 @@ def test_read_reports_each_flipped_bit(tape: Path, tmp_path: Path) -> None:
             warnings.simplefilter("always")
             recording = read(flip(tape, tmp_path, int(place), 1 << int(rng.integers(8))))
         assert len(caught) == 1 or recording.cut, place
-        assert_part_of(recording, whole)
+        assert_part_of(recording, original)
 
 
 def test_read_leaves_out_a_damaged_block(tape: Path, tmp_path: Path) -> None:
-    whole = read(tape)
+    original = read(tape)
     path = flip(tape, tmp_path, find_blocks(tape)[3] + 2000)  # in the first episode
     with pytest.warns(RecordingWarning, match=r"is damaged: 1 damaged place left out .*recover"):
         recording = read(path)
     assert recording.missing > 0
     assert recording.dropped == 0
-    assert_part_of(recording, whole)
+    assert_part_of(recording, original)
     second = recording.episodes[1]
-    assert second.wire.sent == whole.episodes[1].wire.sent
-    np.testing.assert_array_equal(second.movers.states, whole.episodes[1].movers.states)
+    assert second.wire.sent == original.episodes[1].wire.sent
+    np.testing.assert_array_equal(second.movers.states, original.episodes[1].movers.states)
 
     summary = summarize(path)
     headline, _, damage, *_ = summary_lines(summary)
@@ -163,6 +163,7 @@ def write_blocks(path: Path, *blocks: bytes, **header: Any) -> Path:
         writer.start()
         first = json.dumps({"header": make_header(RobotConfig(), {}) | header})
         place = 0
+
         for block in (first.encode() + b"\n", *blocks, b'{"dropped": 0}\n'):
             file.flush()
             checksum = zlib.crc32(path.read_bytes()[place:])

@@ -20,7 +20,7 @@ HALVES = np.zeros((60, 100, 3), np.uint8)
 HALVES[:, :50] = (200, 30, 40)
 
 
-def test_what_moves_is_seen_where_it_is_now() -> None:
+def test_render_shows_movers_where_they_are() -> None:
     options: dict[str, Any] = {"link": "planar", "worlds": HALL, "render_mode": "rgb_array"}
     env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", **options)
     env.reset(seed=0)
@@ -42,7 +42,7 @@ def window() -> Iterator[Window]:
 
 
 @pytest.mark.parametrize("display", ["", ":999"])
-def test_without_a_display_a_line_explains_what_to_do(
+def test_window_explains_what_to_do_without_a_display(
     monkeypatch: pytest.MonkeyPatch, window: Window, display: str
 ) -> None:
     pytest.importorskip("tkinter")
@@ -57,7 +57,7 @@ def test_without_a_display_a_line_explains_what_to_do(
 
 
 @pytest.mark.skipif(not has_display(), reason="no display")
-def test_a_window_shows_the_pixels(window: Window) -> None:
+def test_window_shows_the_pixels(window: Window) -> None:
     window.show(HALVES)
     assert window._root is not None
     assert window._photo is not None

@@ -40,6 +40,7 @@ def main() -> None:
         "CMAKE_PREFIX_PATH": str(prefix),
         "PATH": f"{prefix / 'bin'}{os.pathsep}{os.environ['PATH']}",
     }
+
     with tempfile.TemporaryDirectory() as build:
         configure = ["cmake", "-S", str(PACKAGE), "-B", build, "-G", "Ninja"]
         configure += [f"-DCMAKE_INSTALL_PREFIX={prefix}", "-DBUILD_TESTING=OFF"]

@@ -42,6 +42,10 @@ from tf2_msgs.msg import TFMessage
 
 Array = npt.NDArray[np.float64]
 JOINTS = ["right_front=a", "left_front=b", "left_rear=c", "right_rear=d"]
+RADIUS = 0.05
+SEPARATION = 0.3
+SCAN_X = 0.1  # the LiDAR's place before the axle [m]
+CLOCK_RATE = 200.0  # of /clock, in its own seconds [Hz]
 STEP = 0.002  # longest step of the integration [s]
 JUMP = 5.0  # how far the clock jumps back [s]
 SIM_EPOCH = 100  # what /clock begins with [s]
@@ -63,8 +67,6 @@ def options() -> tuple[argparse.Namespace, list[str]]:
     add("--cmd-vel-timeout", type=float, default=0.5)
     add("--delay", type=float, default=0.0, help="dead time between command and motor [s]")
     add("--time-constant", type=float, default=0.05, help="of the wheels [s]")
-    add("--radius", type=float, default=0.05)
-    add("--separation", type=float, default=0.3)
     add("--multiplier", type=float, default=1.0, help="the controller's, of the separation")
     add("--true-multiplier", type=float, help="the world's; else that of the controller")
     add("--rate", type=float, default=50.0, help="of joint_states and odom [Hz]")
@@ -75,14 +77,12 @@ def options() -> tuple[argparse.Namespace, list[str]]:
     add("--frame", default="base_link")
     add("--scan-rate", type=float, default=0.0, help="0: no LiDAR [Hz]")
     add("--scan-rays", type=int, default=360)
-    add("--scan-x", type=float, default=0.1, help="the LiDAR's place before the axle [m]")
     add("--scan-yaw", type=float, default=0.0, help="how the LiDAR is turned [rad]")
     add("--upside-down", action="store_true")
     add("--mast", action="store_true", help="a frame more between base and LiDAR, turned, too")
     add("--static", choices=["global", "namespaced", "none"], default="global", help="/tf_static")
     add("--scan-time-increment", type=float, default=0.0, help="between two rays [s]")
     add("--sim-time", type=float, help="publish /clock, so many times as fast as real time")
-    add("--clock-rate", type=float, default=200.0, help="of /clock, in its own seconds [Hz]")
     add("--clock-jump-after", type=float, metavar="S", help="the clock jumps back")
     add("--nan-after", type=float, metavar="S", help="the first wheel's speed is NaN")
     add("--missing-joint", metavar="NAME", help="isn't in joint_states")
@@ -98,9 +98,9 @@ class World:
     def __init__(self, config: argparse.Namespace) -> None:
         wheels = [joint.split("=")[1] for joint in config.joints if "=" in joint]
         self.right = np.array([wheel in {"a", "d", "right"} for wheel in wheels])
-        self.radius = config.radius
+        self.radius = RADIUS
         self.time_constant = config.time_constant
-        self.width = config.separation * (config.true_multiplier or config.multiplier)
+        self.width = SEPARATION * (config.true_multiplier or config.multiplier)
         self.time = 0.0
         self.targets = np.zeros(len(wheels))
         self.speeds = np.zeros(len(wheels))
@@ -175,7 +175,7 @@ class ForeignRobot:
     def __init__(self, config: argparse.Namespace) -> None:
         self.config = config
         self.world = World(config)
-        self.controller_width = config.separation * config.multiplier
+        self.controller_width = SEPARATION * config.multiplier
         self.odometry = (0.0, 0.0, 0.0)
         self.odometry_angles = self.world.angles
         self.first_command = math.inf
@@ -198,7 +198,7 @@ class ForeignRobot:
         """How often each topic is published [s]."""
         if config.sim_time:
             self.clock = node.create_publisher(Clock, "/clock", best_effort)
-            self.periods[self.publish_clock] = 1.0 / config.clock_rate
+            self.periods[self.publish_clock] = 1.0 / CLOCK_RATE
         self.periods[self.publish_state] = 1.0 / config.rate
         if config.scan_rate:
             self.scan = node.create_publisher(LaserScan, "scan", sensors)
@@ -324,7 +324,7 @@ class ForeignRobot:
         start = now - config.scan_time_increment * max(count - 1, 0)
         times = start + config.scan_time_increment * np.arange(count)
         towards = config.scan_yaw + (-angles if config.upside_down else angles)
-        ranges = self.world.scan(times, towards, config.scan_x)
+        ranges = self.world.scan(times, towards, SCAN_X)
 
         scan = LaserScan(angle_min=-math.pi, angle_increment=increment)
         scan.header.stamp = Time(nanoseconds=self.stamp(start)).to_msg()
@@ -340,9 +340,9 @@ class ForeignRobot:
     def mount(self) -> list[TransformStamped]:
         """From the base to the LiDAR, over a mast where there is one."""
         config = self.config
-        hops = [(config.frame, "laser", config.scan_x, config.scan_yaw, config.upside_down)]
+        hops = [(config.frame, "laser", SCAN_X, config.scan_yaw, config.upside_down)]
         if config.mast:
-            hops = [(config.frame, "mast", config.scan_x, 1.5, False)]
+            hops = [(config.frame, "mast", SCAN_X, 1.5, False)]
             hops += [("mast", "laser", 0.0, config.scan_yaw - 1.5, config.upside_down)]
 
         transforms = []

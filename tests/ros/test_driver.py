@@ -201,34 +201,6 @@ def test_driver_drives_twists_of_any_frame_until_the_time_out(
     assert "twists in 'odom' are driven as if in 'base_link'" in line
 
 
-def test_driver_refuses_commands_with_a_line(
-    start_driver: StartDriver, client: Client, config: RobotConfig
-) -> None:
-    with emulated_board(config) as board:
-        driver = start_driver("--link", board.device, "--without-estop")
-        joints = client.hear(JointState, "joint_states")
-        diagnostics = client.hear(DiagnosticArray, "/diagnostics")
-        publisher = client.publisher(TwistStamped, "cmd_vel")
-        for make, reason in (
-            (lambda: stamped(math.nan), "isn't finite"),
-            (lambda: stamped(0.2, math.inf), "isn't finite"),
-            (lambda: stamped(0.2, stamp=time.time() - 3.0), "s behind the clock"),
-            (lambda: stamped(0.2, stamp=100.0), "set use_sim_time: false"),
-        ):
-
-            def is_refused(reason: str = reason) -> bool:
-                has_any = bool(diagnostics.messages)
-                return has_any and reason in read_diagnostics(diagnostics)["commands"]
-
-            publish_until(client, publisher, make, is_refused, reason)
-            assert speed(joints) < AT_REST
-        publish_until(
-            client, publisher, lambda: stamped(0.2), lambda: speed(joints) > 1.0, "turning wheels"
-        )
-    lines = [line for line in list_warnings(driver) if "cmd_vel: refused" in line]
-    assert 2 <= len(lines) <= 6  # two kinds, each reported again after 10 s
-
-
 def test_driver_reports_publishers_that_disturb(
     start_driver: StartDriver, client: Client, namespace: str, programs: list[Program]
 ) -> None:
@@ -262,7 +234,7 @@ def test_driver_takes_twists_without_stamps_and_other_names(
     )
 
 
-def test_services_stop_release_and_reset_odometry(
+def test_driver_stops_by_its_services_and_a_refused_command(
     start_driver: StartDriver, client: Client, config: RobotConfig
 ) -> None:
     with emulated_board(config) as board:
@@ -289,11 +261,17 @@ def test_services_stop_release_and_reset_odometry(
         assert client.call(Trigger, "acsar_driver/release").success
         drive_until(lambda: speed(joints) > 1.0, "turning wheels")
 
+        def is_refused() -> bool:
+            return "isn't finite" in read_diagnostics(diagnostics)["commands"]
+
+        publish_until(client, publisher, lambda: stamped(math.nan), is_refused, "a refusal")
+        client.wait(lambda: speed(joints) < AT_REST, "wheels at rest")
+
 
 def test_reset_changes_the_scene_and_stamps_grow(
     start_driver: StartDriver, client: Client, tmp_path: Path
 ) -> None:
-    driver = start_driver("--link", "planar", "--lidar", "simulated", "--realtime", 2.0)
+    driver = start_driver(*("--link", "planar", "--lidar", "simulated"), "--realtime", 2.0)
     clocks = client.hear(Clock, "/clock")
     scans = client.hear(LaserScan, "scan")
     odometry = client.hear(Odometry, "odom")

@@ -251,7 +251,8 @@ def test_run_over_ros_replays_the_same_observations(
     replay = tmp_path / "replay.mcap"
     command = ("-m", "acsar_gym", "run", "1.0", "0.3", "--yes", "--robot", robot_file)
     for link, path in ((f"ros2:{namespace}", drive), (f"replay:{drive}", replay)):
-        run = start_program(*command, "--late-share", 1, "--link", link, "--record", path)
+        files = ("--link", link, "--record", path)
+        run = start_program(*command, "--late-share", 1, *files)
         assert wait_for_end(client, run) == 0, run.printed
 
     for first, second in zip(read(drive).episodes, read(replay).episodes, strict=True):

@@ -138,7 +138,8 @@ def drive_to_and_fro(url: str, config: RobotConfig) -> None:
 
 
 def test_wheel_check_accepts_a_late_controller(start_robot: StartRobot, namespace: str) -> None:
-    start_robot("--joints", *JOINTS, "--delay", 0.2, "--time-constant", 0.25, "--multiplier", 1.5)
+    lags = ("--delay", 0.2, "--time-constant", 0.25)
+    start_robot("--joints", *JOINTS, *lags, "--multiplier", 1.5)
     drive_to_and_fro(f"ros2:{namespace}", RobotConfig(**FOX))
 
 

@@ -149,8 +149,8 @@ def test_wheel_check_never_stops_sound_robots(name: str, minutes: float) -> None
     if name == "overshooting":
         link = Overshooting(link)
     link = FaultyBoard(link, np.random.default_rng(0), dropped=0.02)
-    known = config.with_(feedback_timeout=2.0)
-    with contextlib.closing(Robot(link, known)) as robot:
+    patient = config.with_(feedback_timeout=2.0)
+    with contextlib.closing(Robot(link, patient)) as robot:
         robot.activate()
         commands = random_commands(np.random.default_rng(7))
         for twist in itertools.islice(commands, round(60.0 * minutes / config.period)):

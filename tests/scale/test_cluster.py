@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import runpy
 import signal
@@ -19,6 +18,10 @@ from job_tools import Job, broken, missing, square
 
 from acsar_gym.errors import AcsarError, MissingExtraError
 from acsar_gym.resources import AGENTS
+from acsar_gym.tools.benchmark import runner
+from acsar_gym.tools.benchmark.agents import choose_agents
+from acsar_gym.tools.benchmark.plan import Plan
+from acsar_gym.tools.benchmark.scenes import find_sets
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.jobs import run_jobs
 
@@ -61,39 +64,49 @@ def test_a_closed_iterator_ends_running_jobs_in_good_order(cluster: Nodes, tmp_p
     assert (tmp_path / "end-1").exists()
 
 
-def test_a_killed_node_costs_no_result_of_an_evaluation(monkeypatch: pytest.MonkeyPatch) -> None:
-    policy, seeds = runs.load_policy("obstacle_goal", trust=False), range(60)
+def test_a_killed_node_costs_no_result_of_a_benchmark(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    sets = find_sets("acsar_gym/PointGoal-v0")
+    agents = choose_agents(["packaged", "turn_drive"], sets, None, seeds=1)
+    conditions = ("nominal", "feedback-30", "dropped-2")
+    plan = Plan(tuple(agents), tuple(sets), ("planar",), conditions, count=5)
+    folders = [runner.open_folder(plan, tmp_path / name, None) for name in ("here", "cluster")]
+    expected = runner.run_plan(plan, folders[0])
     with nodes(2) as cluster:
 
-        def noticed(*arguments: Any, **options: Any) -> Iterator[Any]:
+        def run_and_kill(*arguments: Any, **options: Any) -> Iterator[Any]:
             for count, result in enumerate(run_jobs(*arguments, **options)):
                 if count == 2:
                     cluster.kill(0)
                 yield result
 
-        monkeypatch.setattr(runs, "run_jobs", noticed)
-        address = cluster.address
-        found = runs.evaluate_policy(policy, "planar", None, seeds, address=address)
-    expected = runs.evaluate_policy(policy, "planar", None, seeds)
-    assert repr((found.results, found.worlds)) == repr((expected.results, expected.worlds))
+        monkeypatch.setattr(runner, "run_jobs", noticed)
+        results = runner.run_plan(plan, folders[1], address=cluster.address)
+    assert [repr(result.episodes) for result in results.values()] == [
+        repr(result.episodes) for result in expected.values()
+    ]
 
 
-def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "acsar_gym", "evaluate", "--link", "planar", *arguments]
+def command(*arguments: str | Path) -> list[str]:
+    small = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar")
+    return [sys.executable, "-m", "acsar_gym", "benchmark", *small, *map(str, arguments)]
 
 
 def test_the_command_runs_on_a_cluster_and_prints_nothing_of_ray(
     cluster: Nodes, tmp_path: Path
 ) -> None:
-    file = tmp_path / "results.json"
-    asked = ("--episodes", "20", "--json", str(file), "--address", cluster.address)
+    asked = ("--agents", "packaged", "--scenes", "20", "--out", tmp_path / "run")
     ended = subprocess.run(
-        command(*asked), check=False, capture_output=True, text=True, timeout=PATIENCE
+        command(*asked, "--address", cluster.address),
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
     )
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "ray" not in ended.stdout.lower()
-    header = json.loads(file.read_text(encoding="utf-8"))["header"]
-    assert (header["workers"], header["address"]) == (None, cluster.address)
+    assert (tmp_path / "run" / runner.RESULT_FILE).exists()
 
 
 IDLE = """
@@ -112,11 +125,12 @@ def act(observation):
 
 
 def test_ctrl_c_on_a_cluster_keeps_what_is_finished(cluster: Nodes, tmp_path: Path) -> None:
-    file, policy, marker = (tmp_path / name for name in ("results.json", "idle.py", "marker"))
+    policy = tmp_path / "idle.py"
+    marker = tmp_path / "marker"
     policy.write_text(IDLE.format(calls=20 * 200, marker=str(marker)), encoding="utf-8")
-    asked = ("--policy", f"{policy}:act", "--env", "point_goal", "--episodes", "100000")
+    asked = ("--agents", f"{policy}:act", "--scenes", "1000", "--out", tmp_path / "run")
     running = subprocess.Popen(
-        command(*asked, "--json", str(file), "--address", cluster.address),
+        command(*asked, "--address", cluster.address),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -124,14 +138,12 @@ def test_ctrl_c_on_a_cluster_keeps_what_is_finished(cluster: Nodes, tmp_path: Pa
     while not marker.exists():
         assert running.poll() is None
         time.sleep(0.1)
+
     running.send_signal(signal.SIGINT)
     _, error = running.communicate(timeout=PATIENCE)
     assert running.returncode == 130
-    assert error.strip().startswith("acsar-gym: interrupted")
+    assert error.strip().startswith("acsar-gym: interrupted: 0 of 1 cells are finished")
     assert "Traceback" not in error
-    data = json.loads(file.read_text(encoding="utf-8"))
-    assert data["ended_early"] == "interrupted"
-    assert 0 < data["episodes"] < 100_000
 
 
 def test_ray_of_this_machine_alone(tmp_path: Path) -> None:
@@ -140,33 +152,32 @@ def test_ray_of_this_machine_alone(tmp_path: Path) -> None:
         "from job_tools import threads\nfrom acsar_gym.tools.jobs import run_jobs\n"
         "print(list(run_jobs(threads, ['OMP_NUM_THREADS'], workers=1, address='local')))\n"
     )
-    ended = subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", script],
         check=False,
         capture_output=True,
         text=True,
         env=environment,
     )
-    assert (ended.stdout, ended.stderr) == ("[(0, '1')]\n", "")
+    assert (done.stdout, done.stderr) == ("[(0, '1')]\n", "")
 
 
 def test_trainings_of_seeds_run_on_a_cluster(tmp_path: Path) -> None:
     """One of the nodes dies while both train."""
     out = tmp_path / "out"
-    asked = ["--env", "point_goal", "--steps", "300000", "--robots", "64", "--seeds", "0-1"]
+    options = ["--env", "point_goal", "--steps", "300000", "--robots", "64", "--seeds", "0-1"]
     with nodes(2) as cluster:
-        arguments = [*asked, "--out", str(out), "--address", cluster.address]
+        arguments = [*options, "--out", str(out), "--address", cluster.address]
         running = subprocess.Popen([sys.executable, "-m", "acsar_gym", "train", *arguments])
-        begun: set[Path] = set()
-        killed = False
+        is_killed = False
         while running.poll() is None:
-            begun |= set(out.glob("seed-?/learning_curve.csv"))
-            if len(begun) == 2 and not killed:
+            if not is_killed and len([*out.glob("seed-?/learning_curve.csv")]) == 2:
                 cluster.kill(0)
-                killed = True
+                is_killed = True
             time.sleep(0.05)
         assert running.returncode == 0
-        assert killed
+        assert is_killed
+
     rows = (out / "seeds.csv").read_text(encoding="utf-8").splitlines()[1:]
     assert [row.partition(",")[0] for row in rows] == ["0", "1"]
     for seed in (0, 1):

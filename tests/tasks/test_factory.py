@@ -52,6 +52,7 @@ CLASSES: list[tuple[dict[str, Any], str]] = [
     ({"memory": ["x"]}, "Mine: ValueError"),
     ({"memory": {"odom_x": 0.0}}, "Mine: memory 'odom_x': info has that already"),
     ({"sensors": "lidar"}, ".*sensor"),
+    ({"told": ("speed",)}, "Mine: told: no memory 'speed'"),
 ]
 METHODS: list[tuple[dict[str, Any], str]] = [
     ({"outcome": returning(7)}, "Mine.outcome returned 7: must be an Outcome"),
@@ -59,7 +60,6 @@ METHODS: list[tuple[dict[str, Any], str]] = [
     ({"observe": returning((1.0, 2.0))}, r"Mine.observe returned numbers of shape \(2,\): must be"),
     ({"observe": returning((np.inf,))}, "Mine.observe returned {'x': inf}: must be finite"),
     ({"reward": lambda self: 0.0}, r"Mine: TypeError: .* takes 1 positional argument"),
-    ({"told": ("speed",)}, "Mine: `told` must list .* KeyError: 'speed'"),
     ({"reward": Task.reward}, "Mine: NotImplementedError: a task needs the method reward"),
 ]
 

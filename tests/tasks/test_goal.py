@@ -34,7 +34,7 @@ def test_observe_a_goal_ahead_and_a_goal_to_the_left(
 
 @given(coordinate, coordinate, angle, coordinate, coordinate)
 def test_observe_stays_in_its_bounds(
-    x: float, y: float, theta: float, linear: float, angular: float, play: Any
+    play: Any, x: float, y: float, theta: float, linear: float, angular: float
 ) -> None:
     observation = play(TASK, {"goal": (2.0, 0.0)}).seen(
         pose=(x, y, theta), twist=(linear, angular), action=(1.0, -1.0)

@@ -57,6 +57,8 @@ def _hash_policy(policy: FilePolicy) -> str | None:
     """Hash a policy's file, or the source of its code and of the user's modules that it imports."""
     if not isinstance(policy, CallablePolicy) or policy.instance is not None:
         return policy.sha256
+
+    # Code may import modules of the user, whose changes matter as well.
     path = policy.path
     module = f"acsar_gym_policy_{path.stem}" if path.suffix == ".py" else f"{path}".split(":")[0]
     return hash_modules(module)
@@ -85,6 +87,7 @@ def choose_agents(
     for name, sources in find_trained(trained).items() if trained is not None else ():
         files[name] = sources[:seeds]
 
+    # An agent that the user named must drive in every set: a missing row is easily overlooked.
     agents: list[Agent] = []
     for name in dict.fromkeys(names or [*files, *BASELINES]):
         chosen = list(_load_agents(name, files, envs))
@@ -98,6 +101,7 @@ def choose_agents(
                 )
         agents += chosen
 
+    # Rows are named after agents.
     counts = Counter((agent.name, agent.env, agent.training_seed) for agent in agents)
     for (name, env_id, _), count in counts.items():
         if count > 1:
@@ -126,6 +130,7 @@ def _load_agents(name: str, files: dict[str, Sources], envs: Sequence[str]) -> I
             f"--agents {show_value(name)}{suggest_name(name[:40], [*files, *BASELINES])}"
         )
 
+    # A policy drives on the id that it names. Baselines, and code that names none, drive on all.
     for seed, source in sources:
         named_id = "" if kind != LEARNED else _read_id(source, envs[0])
         for env_id in envs:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.errors import ConfigError
 from acsar_gym.tasks import Task
 from acsar_gym.tasks.factory import task_name
+from acsar_gym.tasks.options import check_names
 from acsar_gym.tasks.task import info_names, says_shortest_path
 from acsar_gym.tools.evaluation.episode import Episode
 
@@ -32,17 +33,14 @@ class Scoring:
 
     @classmethod
     def of(cls, task: Task, name: str, top_speed: float) -> Scoring:
-        """Return a task's scoring; ConfigError if the task doesn't report that number."""
+        """Return a task's scoring. ConfigError if the task doesn't report that number."""
         if name == COMPLETION_TIME and not says_shortest_path(task):
             raise ConfigError(
                 f"{task_name(task)}: score {COMPLETION_TIME!r}: the task has no method "
                 "shortest_path(): write one, or score 'success'"
             )
         names = (COMPLETION_TIME, CROSS_TRACK, SUCCESS, *info_names(task))
-        if name not in names:
-            raise ConfigError(
-                f"{task_name(task)}: score {show_value(name)}{suggest_name(name, names)}"
-            )
+        check_names(f"{task_name(task)}: score {{}}", [name], names)
         return cls(name, top_speed, task.goal_tolerance)
 
 
@@ -51,9 +49,9 @@ def score_episode(episode: Episode, scoring: Scoring) -> float:
 
     COMPLETION_TIME is success weighted by completion time (Yokoyama, Ha & Batra 2021): T* / max(T,
     T*), where T is the time that it took, and T* that of the shortest path, up to the goal's
-    tolerance, at the robot's top speed; 1 if the shortest path isn't known. CROSS_TRACK is 1 - mean
-    cross-track error / 10 cm, SUCCESS 1. Any other name is that of a number which the task reports
-    at the end, such as "barn_score".
+    tolerance, at the robot's top speed. It is 1 if the shortest path isn't known. CROSS_TRACK is 1
+    minus the mean cross-track error / 10 cm, SUCCESS 1. Any other name is that of a number which
+    the task reports at the end, such as "barn_score".
     """
     if not episode.success:
         return 0.0

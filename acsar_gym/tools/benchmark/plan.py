@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from typing import Any, NamedTuple
 
 import acsar_gym
-from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.errors import ConfigError
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.resources import PACKAGE, hash_sources
+from acsar_gym.tasks.options import check_names
 from acsar_gym.tools.benchmark.agents import Agent
 from acsar_gym.tools.benchmark.figures import Scoring
 from acsar_gym.tools.benchmark.scenes import GIVEN, SceneSet, make_planar
@@ -69,13 +70,8 @@ class Cell:
 
     agent: Agent
     scenes: SceneSet
-    link: str
-    condition: str
-
-    @property
-    def place(self) -> Place:
-        """Where it drives."""
-        return Place(self.scenes.id, self.scenes.name, self.link, self.condition)
+    """The scenes that are driven."""
+    place: Place
 
     @property
     def about(self) -> dict[str, Any]:
@@ -92,7 +88,7 @@ class Cell:
     @property
     def job(self) -> EpisodeJob:
         """The job of its episodes."""
-        condition = CONDITIONS[self.condition]
+        condition = CONDITIONS[self.place.condition]
         config = self.scenes.config.with_(**condition.changes)
         level = condition.randomization
         options = {
@@ -102,14 +98,7 @@ class Cell:
             "faults": dict(condition.faults) or None,
         }
         load = send_policy(self.agent.policy)
-        return EpisodeJob(load, self.link, config, options=options, resets=self.scenes.resets)
-
-
-def check_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
-    """Raise ConfigError for the first name that isn't known, with the name that may be meant."""
-    for name in names:
-        if name not in known:
-            raise ConfigError(f"{option} {show_value(name)}{suggest_name(name[:40], known)}")
+        return EpisodeJob(load, self.place.link, config, options=options, resets=self.scenes.resets)
 
 
 @dataclass(frozen=True)
@@ -129,17 +118,12 @@ class Plan:
     """Scenes of every cell, fewer if a folder holds fewer."""
 
     def __post_init__(self) -> None:
-        check_names("--links", self.links, LINKS)
-        check_names("--conditions", self.conditions, CONDITIONS)
+        check_names("--links {}", self.links, LINKS)
+        check_names("--conditions {}", self.conditions, CONDITIONS)
         if ROS2 in self.links and self.conditions != (NOMINAL,):
             raise ConfigError("--links ros2: drives under the condition nominal only")
         for cell in self.cells():
-            cell.scoring  # noqa: B018 - before anything drives
-
-    def check(self) -> None:
-        """Compare the scenes with the recorded ones. ConfigError if they differ."""
-        for scenes in self.sets:
-            scenes.check(self.count_scenes(scenes))
+            cell.scoring  # noqa: B018 - a missing score is an error before anything drives
 
     def count_scenes(self, scenes: SceneSet) -> int:
         """Return how many scenes of a set are driven."""
@@ -149,12 +133,14 @@ class Plan:
         """Yield the cells, of one set and link after the other."""
         for scenes, link, condition in product(self.sets, self.links, self.conditions):
             driven = replace(scenes, numbers=scenes.numbers[: self.count_scenes(scenes)])
+            place = Place(scenes.id, scenes.name, link, condition)
             for agent in self.agents:
                 if agent.env == scenes.env:
-                    yield Cell(agent, driven, link, condition)
+                    yield Cell(agent, driven, place)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the plan for JSON, with hashes. Equal plans give equal results."""
+        # Training seeds of an agent share its name.
         agents: dict[str, list[dict[str, Any]]] = {}
         for agent in self.agents:
             agents.setdefault(agent.name, []).append(agent.about)

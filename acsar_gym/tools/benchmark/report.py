@@ -93,6 +93,7 @@ def write_csv(path: Path, result: Mapping[str, Any]) -> None:
                 }
         lines.append(line)
 
+    # Tasks have numbers of their own, so rows may have different columns.
     stream = io.StringIO()
     names = dict.fromkeys(name for line in lines for name in line)
     writer = csv.DictWriter(stream, list(names), lineterminator="\n")
@@ -137,7 +138,8 @@ def draw_figure(rows: Sequence[Row], kind: str) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - optional, slow
     from matplotlib.figure import Figure  # noqa: PLC0415
 
-    drawing = Figure(figsize=(7.0, 1.0 + 0.3 * len(rows)), layout="constrained")
+    # Without pyplot, which keeps figures and may look for a display.
+    drawing = Figure(figsize=(8.0, 1.0 + 0.3 * len(rows)), layout="constrained")
     FigureCanvasAgg(drawing)
     axis = drawing.subplots()
     for place, row in enumerate(rows):
@@ -147,10 +149,11 @@ def draw_figure(rows: Sequence[Row], kind: str) -> bytes:
         axis.plot(row["score"], place, "o", color="C0")
         axis.plot(seeds, [place] * len(seeds), ".", color="C1", zorder=3, markersize=4.0)
 
+    # The best agent of a place is at its top.
     labels = [", ".join(filter(None, [*main_cells(row).values()][:4])) for row in rows]
     axis.set_yticks(range(len(rows)), labels)
     axis.set(ylim=(len(rows) - 0.5, -0.5), xlim=(0.0, None))
-    axis.set_xlabel("score: mean, 95 % interval, and each training seed")
+    axis.set_xlabel("score, 95 % interval, seeds")
     axis.grid(axis="x")
     stream = io.BytesIO()
     drawing.savefig(stream, format=kind, metadata={})
@@ -171,17 +174,19 @@ def write_benchmark_page(path: Path, result: Mapping[str, Any]) -> None:
     table = report.fill_cells([*map(main_cells, rows)])
     sections = [page.Section("Scores and success", introduction, table, [drawing])]
 
+    # All figures, of agents that drove at the same place next to each other.
     for heading, place in groupby(rows, _name_place):
         figures = report.figure_cells({row["agent"]: row for row in place})
         sections.append(page.Section(heading, table=report.fill_cells(figures)))
 
+    # What is needed to repeat it.
     header = result["header"]
     facts = [*header["versions"].items()]
     facts += [(name, describe_scenes(about)) for name, about in header["scenes"].items()]
     for name, policies in header["agents"].items():
         for policy in policies:
-            what = f"{name} on {policy['id']}, {policy['file']}"
-            facts.append((what, f"sha256 {policy['sha256']}"))
+            title = f"{name} on {policy['id']}, {policy['file']}"
+            facts.append((title, f"sha256 {policy['sha256']}"))
     sections.append(page.Section("Provenance", "", page.Table(("what", "version"), facts)))
     page.write_page(path, "Benchmark", sections)
 

@@ -89,13 +89,17 @@ def run_plan(
     Raises:
         CancelledError: After Ctrl-C. Its message names the command that continues.
     """
-    plan.check()
+    for scenes in plan.sets:
+        scenes.check(plan.count_scenes(scenes))
+
+    # Cells that were finished before an interruption aren't driven again.
     cells = list(plan.cells())
     results = read_results(folder, cells)
     waiting = [cell for cell in cells if cell not in results]
     if ROS2 in plan.links:
         workers = 1  # there is one robot
 
+    # Each result is kept at once: a kill or a full disk costs one cell.
     running = run_jobs(drive_cell, [cell.job for cell in waiting], workers, address)
     try:
         with contextlib.closing(running):
@@ -105,7 +109,7 @@ def run_plan(
                 append_result(folder, cell, results[cell])
     except KeyboardInterrupt as error:
         raise CancelledError(
-            f"interrupted: {len(results)} of {len(cells)} cells are finished; the same command "
+            f"interrupted: {len(results)} of {len(cells)} cells are finished. The same command "
             f"with --resume {shlex.quote(str(folder))} drives the others"
         ) from error
     return {cell: results[cell] for cell in cells}
@@ -117,14 +121,14 @@ def drive_cell(job: EpisodeJob) -> CellResult:
     Raises:
         AcsarError: It can't be driven this time: a file or a package is missing.
     """
+    # A refusal is a result. Other errors end the benchmark.
     start = time.process_time()
     try:
         env = job.make_env()
     except PolicyError as error:
         path = job.load().path
         return CellResult(refused=str(error).replace(str(path), path.name))
-    with contextlib.closing(env):
-        episodes = list(job.drive(env))
+    episodes = job.drive(env)
     return CellResult(episodes, round(time.process_time() - start, 3))
 
 

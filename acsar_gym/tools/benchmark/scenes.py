@@ -6,8 +6,8 @@ A scene is a generated world, or, on an open floor, the goal that a seed draws. 
 sets are worlds 100000 to 100999 of a generator, so that 1,000 of them overlap neither the training
 worlds (1000 to 1399) nor the validation worlds (900 to 963) nor those that `acsar-gym evaluate`
 tests in by default (0 to 199, BARN 0 to 299), which were looked at while methods were chosen. On
-the open floor they are the seeds 2^33 to 2^33 + 999; trainings use seeds below 2^32, validation
-begins there. The published worlds of BARN are sets of their own, read from a folder.
+the open floor they are the seeds 2^33 to 2^33 + 999. Training uses seeds below 2^32, validation
+the next 64. The published worlds of BARN are sets of their own, read from a folder.
 
 `scenes.json` has a hash for every 100 scenes, computed from their rounded obstacles, start and goal
 (and the path if nothing stands or moves). If the generator, or the footprint of the robot that
@@ -35,10 +35,11 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
 from acsar_gym.envs.ids import find_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import ConfigError, explain_error, show_value, suggest_name
+from acsar_gym.errors import ConfigError, explain_error, show_value
 from acsar_gym.registration import IDS, SCENE_CHOICES, SceneChoice
 from acsar_gym.tasks import PointGoal
 from acsar_gym.tasks.episode import Spawn
+from acsar_gym.tasks.options import check_names
 from acsar_gym.tasks.task import says_shortest_path
 from acsar_gym.tools.benchmark.figures import COMPLETION_TIME, SUCCESS
 from acsar_gym.tools.evaluation.provenance import hash_numbers, hash_source, hash_world
@@ -137,7 +138,7 @@ class SceneSet:
 
     @property
     def id(self) -> str:
-        """Id of the env as results name it; see `short_id`."""
+        """Id of the env as results name it, see `short_id`."""
         return short_id(self.env)
 
     @property
@@ -190,12 +191,11 @@ class SceneSet:
     @property
     def about(self) -> dict[str, Any]:
         """What results contain about their scenes."""
-        is_file = Path(self.robot).suffix != ""
         return {
             "set": self.name,
             "split": self.split,
             "kind": "folder" if self.split == GIVEN else self.source or "seeds",
-            "robot": Path(self.robot).name if is_file else self.robot,
+            "robot": Path(self.robot).name,
             "robot_sha256": hash_config(self.config),
             "task_sha256": hash_source(type(make_planar(self.env).task)),
             "score": self.score,
@@ -213,6 +213,8 @@ class SceneSet:
         """
         if not 1 <= count <= len(self):
             raise ConfigError(f"{self}: has {len(self):,} scenes, {count:,} were asked for")
+
+        # Hashes that differ mean that results from these scenes can't be compared.
         hashes = hash_scenes(self, count) if self.recorded else []
         for place, (now, recorded) in enumerate(zip(hashes, self.recorded, strict=False)):
             if now != recorded:
@@ -270,6 +272,7 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
     env_id = find_id(env_id)
     name = strip_module(env_id)
     choices = PACKAGED_CHOICES.get(name) or SCENE_CHOICES.get(name) or {"test": SceneChoice()}
+    # Generated worlds have a split for the benchmark, a folder is driven completely.
     sets: dict[str, SceneSet] = {}
     for name, choice in choices.items():
         source = task_worlds(env_id) if choice.worlds is None else choice.worlds
@@ -281,7 +284,7 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
             score = COMPLETION_TIME if has_way else SUCCESS
 
         for robot in dict.fromkeys(robots or choice.robots):
-            label = Path(robot).stem if Path(robot).suffix else robot
+            label = Path(robot).stem
             full_name = name if choice.robots == (robot,) else f"{name}/{label}"
             if full_name in sets:
                 raise ConfigError(f"--robots: two of them are {label}: rename a file")
@@ -311,15 +314,14 @@ def choose_sets(
     Raises:
         ConfigError: There is no such id or set.
     """
+    # Each set by its full name, and those of several robots by their common name.
     sets: dict[str, list[SceneSet]] = {}
     for env_id in dict.fromkeys(envs or PACKAGED_CHOICES):
         for scenes in find_sets(env_id, robots):
             for name in dict.fromkeys((scenes.name.partition("/")[0], scenes.name)):
                 sets.setdefault(name, []).append(scenes)
     wanted = names or ([] if envs else DEFAULT_SETS) or sets
-    for name in wanted:
-        if name not in sets:
-            raise ConfigError(f"--sets {show_value(name)}{suggest_name(name[:40], sorted(sets))}")
+    check_names("--sets {}", wanted, sets)
     return list(dict.fromkeys(scenes for name in wanted for scenes in sets[name]))
 
 
@@ -370,6 +372,7 @@ def published_sets(sets: Iterable[SceneSet], folder: Path) -> list[SceneSet]:
 @cache
 def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
     """Hash every 100 scenes as far as `count` needs. The last block may be a short one."""
+    # Whole blocks, because each has one hash.
     numbers = scenes.numbers[: -(-count // SCENES_PER_HASH) * SCENES_PER_HASH]
     if scenes.source:
         pool = read_pool(scenes.worlds or "", scenes.difficulty, scenes.robot)

@@ -84,6 +84,8 @@ class AgentRow:
         best = max(baselines, key=lambda row: (row.mean(name), row.mean("score")), default=self)
         if best is self:
             return None
+
+        # A baseline has one seed, with which each training seed is compared.
         differences = self.matrix(name) - best.matrix(name)[:1]
         return {
             "over": best.agent,
@@ -103,6 +105,7 @@ def make_rows(cells: Mapping[Cell, CellResult]) -> list[AgentRow]:
         if result.episodes:
             row.seeds.append(agent.training_seed)
             row.groups.append(result.episodes)
+    # The order of the plan, and the best agent first.
     places = list(dict.fromkeys(place for place, _ in rows))
     return sorted(rows.values(), key=lambda row: (places.index(row.place), -row.mean("score")))
 

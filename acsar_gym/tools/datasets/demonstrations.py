@@ -7,6 +7,7 @@ observations are those that an agent would have had.
 
 from __future__ import annotations
 
+import contextlib
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -116,18 +117,17 @@ def _read_recording(path: Path, env: str, goal: Goal | None) -> Demonstrations:
         warnings.warn(f"{path}: the file is cut: {loss}", RecordingWarning, stacklevel=4)
     complete = recording.episodes[: len(recording.episodes) - recording.is_incomplete]
     about = recording.header["about"]
-    recorded_env = about["env"].get("id") if isinstance(about.get("env"), Mapping) else None
-    policy = about["policy"].get("file") if isinstance(about.get("policy"), Mapping) else None
+    recorded_env = _look_up(about, "env", "id")
 
     stepped = [episode for episode in complete if _has_steps(episode)]
     if stepped and not env and goal is None:
-        env_id = str(recorded_env or "")
+        env_id = recorded_env
         names = [str(name) for name in about.get("observation", ())]
         rate = _find_rate(stepped[0], recording.config.control_rate)
         episodes = [_take_steps(episode) for episode in stepped]
     else:
         # Only the user, not the file, may name an env of another package, which is imported.
-        env_id = find_id(env or strip_module(str(recorded_env or "")) or DEFAULT_ENV)
+        env_id = find_id(env or strip_module(recorded_env) or DEFAULT_ENV)
         replayed = _make_replay_env(env_id, path, recording, goal)
         try:
             episodes = list(_replay_episodes(replayed, path, complete, goal))
@@ -149,9 +149,15 @@ def _read_recording(path: Path, env: str, goal: Goal | None) -> Demonstrations:
         rate=rate,
         robot=config.name,
         speeds=(config.max_linear, config.max_angular),
-        policy=str(policy or "unknown"),
+        policy=_look_up(about, "policy", "file") or "unknown",
         episodes=tuple(episodes),
     )
+
+
+def _look_up(about: Mapping[str, Any], name: str, key: str) -> str:
+    """An entry of a mapping in the header. Empty if it isn't there."""
+    entry = about.get(name)
+    return str(entry.get(key) or "") if isinstance(entry, Mapping) else ""
 
 
 def _has_steps(episode: Episode) -> bool:
@@ -194,13 +200,17 @@ def _make_replay_env(env_id: str, path: Path, recording: Recording, goal: Goal |
             raise ConfigError(f"{env_id}: can't replay a recording: {error}") from error
         env = wrapped.unwrapped  # without the limit of time
         if not isinstance(env, RobotEnv) or env.task.follows:
-            raise ConfigError(f"{env_id}: has no goal: choose an env with one, such as point_goal")
+            raise ConfigError(
+                f"{env_id}: has no goal: choose an env with a goal, such as point_goal"
+            )
         return env
 
     env = make()
     has_scans = any(len(episode.scans.stamps) for episode in recording.episodes)
     if any(sensor.name == LIDAR for sensor in env.sensors) and not has_scans:
         raise ConfigError(f"{path}: has no scans, which {env_id} observes: record with a LiDAR")
+
+    # A robot may have driven farther than the env's goals are.
     if isinstance(env.task, PointGoal):
         nearest, farthest = env.task.goal_distance
         places = [
@@ -217,11 +227,9 @@ def _find_goal(episode: Episode, goal: Goal | None) -> Goal:
     """The goal that was asked for, or that was recorded, or else the place where it ended."""
     if goal is not None:
         return goal
-    recorded = episode.info.get("goal")
-    numbers = recorded if isinstance(recorded, list) else []
-    if len(numbers) == 2 and all(isinstance(number, int | float) for number in numbers):
-        return float(numbers[0]), float(numbers[1])
     x, y = episode.poses[-1, :2].tolist() if len(episode.poses) else (0.0, 0.0)
+    with contextlib.suppress(TypeError, ValueError):  # a drive without a goal
+        x, y = map(float, episode.info.get("goal") or ())
     return x, y
 
 
@@ -233,7 +241,7 @@ def _replay_episodes(
     for number, episode in enumerate(episodes):
         # What was asked for after the robot was stopped isn't driven.
         stopped = np.isin(episode.reasons, (Reason.EMERGENCY_STOP, Reason.STALE_FEEDBACK))
-        twists = episode.asked[: np.argmax(stopped)] if stopped.any() else episode.asked
+        twists = episode.asked[np.cumsum(stopped) == 0]
         end = _find_goal(episode, goal)
         distance = float(np.hypot(*end))
         problem = ""

@@ -20,7 +20,12 @@ from acsar_gym.tools.datasets.demonstrations import Demonstrations
 FILE_PATTERN = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 """How the format numbers its files."""
 FIRST_FILE = FILE_PATTERN.format(chunk_index=0, file_index=0)
-FILE_INDICES = {"chunk_index": 0, "file_index": 0}
+FILE_INDICES = {
+    "data/chunk_index": 0,
+    "data/file_index": 0,
+    "meta/episodes/chunk_index": 0,
+    "meta/episodes/file_index": 0,
+}
 STATE = "observation.state"
 ENVIRONMENT_STATE = "observation.environment_state"
 """The same numbers as STATE: LeRobot's policies want this one if there is no camera."""
@@ -48,6 +53,7 @@ def write_lerobot(data: Demonstrations, folder: Path, _name: str = "") -> Path:
 
     if (folder / "meta/info.json").exists():  # which is written last
         raise ConfigError(f"{folder}: holds a data set already: give --out another folder")
+    # Numbers of one feature are a list of fixed length.
     frames = _make_frames(data)
     columns = {
         key: pa.FixedSizeListArray.from_arrays(values.ravel(), values.shape[1])
@@ -102,9 +108,8 @@ def _describe_episodes(data: Demonstrations, frames: Columns) -> list[dict[str, 
             "length": end - first,
             "dataset_from_index": first,
             "dataset_to_index": end,
+            **FILE_INDICES,
         }
-        for folder in ("data", "meta/episodes"):
-            row |= {f"{folder}/{name}": index for name, index in FILE_INDICES.items()}
         for key, statistics in _summarize(own_frames).items():
             row |= {f"stats/{key}/{name}": values for name, values in statistics.items()}
         rows.append(row)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -144,7 +145,7 @@ def describe_end(info: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _divide(part: float, whole: float) -> float:
-    """Divide; 1 if `whole` isn't positive."""
+    """Divide. 1 if `whole` isn't positive."""
     return part / whole if whole > 0.0 else 1.0
 
 
@@ -199,7 +200,7 @@ def measure_episode(env: RobotEnv, drive: Drive, late_share: float) -> Episode:
     # The shortest paths from the start and from the end.
     radius = footprint_radius(config)
     shortest = measure_way(assignment, radius, drive.track[0], drive.first_way)
-    left = measure_way(assignment, radius, drive.track[-1], drive.last_way)
+    remaining = measure_way(assignment, radius, drive.track[-1], drive.last_way)
 
     # Contacts, and how near the robot came to what stands and to who moves.
     nearest = np.fmin.reduce(drive.track)
@@ -228,7 +229,7 @@ def measure_episode(env: RobotEnv, drive: Drive, late_share: float) -> Episode:
         path=path_length(odom[:, :2]),
         driven=path_length(poses[:, :2]),
         shortest=shortest,
-        left=left,
+        left=remaining,
         turning=float(np.abs(np.diff(np.unwrap(odom[:, 2]))).sum()),
         jerk=mean_jerk(odom, env.ticks_per_step * config.period),
         clearance=clearance,
@@ -311,13 +312,13 @@ def footprint_clearance(places: Floats, outline: Outline, world: World) -> float
     x, y, theta = places[is_near].T[..., None]
     cos = np.cos(theta)
     sin = np.sin(theta)
-    ahead, left = corners.T
-    placed = np.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left], axis=-1)
+    along, across = corners.T
+    placed = np.stack([x + cos * along - sin * across, y + sin * along + cos * across], axis=-1)
     ends = np.roll(placed, -1, axis=1)
     return float(segment_clearance(placed.reshape(-1, 2), ends.reshape(-1, 2), world).min())
 
 
-def odometry_errors(episodes: Iterable[Episode], log: Path) -> list[float]:
+def odometry_errors(episodes: Sequence[Episode], log: Path) -> list[float]:
     """Compute the odometry error at the end of each episode from an emulator's log [m].
 
     The emulated robot isn't moved back between episodes, so true poses are taken relative to the
@@ -327,13 +328,12 @@ def odometry_errors(episodes: Iterable[Episode], log: Path) -> list[float]:
         ConfigError: The log holds no true poses.
     """
     stamps, poses = read_true_poses(log)
-    errors = []
-    for episode in episodes:
-        newest = np.searchsorted(stamps, (episode.started, episode.ended), side="right") - 1
-        start, end = (poses[max(0, int(number))] for number in newest)
-        x, y, _ = to_odometry(start, end)
-        errors.append(math.hypot(x - episode.pose[0], y - episode.pose[1]))
-    return errors
+
+    def find_pose(stamp: float) -> Pose:
+        return poses[max(0, bisect_right(stamps, stamp) - 1)]
+
+    ends = [to_odometry(find_pose(e.started), find_pose(e.ended)) for e in episodes]
+    return [math.dist(end[:2], e.pose[:2]) for end, e in zip(ends, episodes, strict=True)]
 
 
 def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:

@@ -42,8 +42,8 @@ class Figure(NamedTuple):
     digits: int = 2
     is_rate: bool = False
     """Whether it is 0 or 1, so that its interval is Wilson's."""
-    per: Callable[[Episode], float] | None = None
-    """What the sum over the episodes is divided by. None for their number."""
+    per: Callable[[Episode], float] = lambda _: 1.0
+    """Weight of an episode: the mean is the sum of the values over the sum of the weights."""
 
     @property
     def heading(self) -> str:
@@ -52,11 +52,12 @@ class Figure(NamedTuple):
 
     def measure(self, groups: Groups) -> tuple[float, Interval]:
         """Return mean and interval over the episodes that have this figure. NaN for none."""
-        values = np.array([[self.of(episode) for episode in group] for group in groups], float)
-        weights = np.ones_like(values)
-        if self.per is not None:
-            weights[:] = [[self.per(episode) for episode in group] for group in groups]
+        values, weights = (
+            np.array([[of(episode) for episode in group] for group in groups], np.float64)
+            for of in (self.of, self.per)
+        )
 
+        # Exact sums: the mean doesn't depend on the order of the episodes.
         is_known = np.isfinite(values)
         total = math.fsum(weights[is_known])
         mean = math.fsum(values[is_known]) / total if total else math.nan
@@ -128,8 +129,8 @@ def find_figure(name: str) -> Figure:
 
 def measure_figures(groups: Groups) -> dict[str, Any]:
     """Return means by name, those of the task's own numbers included, and their "intervals"."""
-    told = groups[0][0].told if groups[0] else ()
-    names = [*FIGURES, *(f"{TOLD_PREFIX}{name}" for name in told)]
+    task_names = groups[0][0].told if groups[0] else ()
+    names = [*FIGURES, *(f"{TOLD_PREFIX}{name}" for name in task_names)]
     measured = {name: find_figure(name).measure(groups) for name in names}
     means: dict[str, Any] = {name: mean for name, (mean, _) in measured.items()}
     return means | {"intervals": {name: interval for name, (_, interval) in measured.items()}}
@@ -169,10 +170,7 @@ class Summary(SimpleNamespace):
             together [1/min].
         ticks: Number of ticks.
         late_ticks: Ticks that ended over a millisecond late.
-        missed_ticks: Control periods that passed without a tick.
-        lateness_p99: Largest 99th percentile of lateness of any episode [s]. NaN in simulation.
-        worst_lateness: Largest lateness of any tick [s].
-        worst_feedback_age: Largest age of the feedback at a tick [s].
+        worst_lateness: Largest lateness of any tick [s]. NaN in simulation.
         round_trip: Time from a command to its effect in the feedback, median over those of all
             episodes [s].
         round_trip_p95: 95th percentile of the same [s].
@@ -185,8 +183,8 @@ class Summary(SimpleNamespace):
 
     def as_row(self) -> dict[str, Any]:
         """Return the means by name for a table, like a row of the benchmark."""
-        told = {f"{TOLD_PREFIX}{name}": mean for name, mean in self.told.items()}
-        row: dict[str, Any] = replace_nonfinite(vars(self) | told)
+        task_means = {f"{TOLD_PREFIX}{name}": mean for name, mean in self.told.items()}
+        row: dict[str, Any] = replace_nonfinite(vars(self) | task_means)
         return row
 
 
@@ -194,11 +192,11 @@ def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
     """Compute rates, means and confidence intervals over episodes."""
     means = measure_figures([episodes])
     names = [name for name in means if name.startswith(TOLD_PREFIX)]
-    told = {name.removeprefix(TOLD_PREFIX): means.pop(name) for name in names}
+    task_means = {name.removeprefix(TOLD_PREFIX): means.pop(name) for name in names}
 
     # Timing, which only links in real time have.
     timings = [episode.timing for episode in episodes if episode.timing]
-    lateness = [timing.lateness for timing in timings]
+    latenesses = [timing.lateness.worst for timing in timings]
     trips = [trip for timing in timings for trip in timing.round_trips]
     median, longest = np.percentile(trips or [math.nan], [50.0, 95.0]).tolist()
     return Summary(
@@ -206,15 +204,12 @@ def summarise_episodes(episodes: Sequence[Episode]) -> Summary:
         **means,
         ticks=sum(episode.ticks for episode in episodes),
         late_ticks=sum(episode.late_ticks for episode in episodes),
-        missed_ticks=sum(late.missed_ticks for late in lateness),
-        lateness_p99=_largest([late.p99 for late in lateness]),
-        worst_lateness=_largest([late.worst for late in lateness]),
-        worst_feedback_age=_largest([timing.worst_feedback_age for timing in timings]),
+        worst_lateness=float(np.fmax.reduce(latenesses, initial=math.nan)),
         round_trip=median,
         round_trip_p95=longest,
         round_trips=len(trips),
         invalid=sum(not episode.valid for episode in episodes),
-        told=told,
+        told=task_means,
     )
 
 
@@ -222,17 +217,11 @@ def replace_nonfinite(value: Any) -> Any:
     """Replace NaN and infinity by None, and records by dicts, recursively, for JSON."""
     if is_dataclass(value):
         value = asdict(value)  # type: ignore[arg-type]
-    if isinstance(value, SimpleNamespace):
-        value = vars(value)
     if isinstance(value, dict):
         return {key: replace_nonfinite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [replace_nonfinite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _largest(values: Sequence[float]) -> float:
-    return float(np.fmax.reduce(values, initial=math.nan))
 
 
 def wilson_interval(hits: int, count: int) -> Interval:

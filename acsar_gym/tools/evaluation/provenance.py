@@ -66,10 +66,13 @@ def make_header(
 ) -> dict[str, Any]:
     """Collect what is needed to repeat an evaluation, ready for JSON, see above for its keys."""
     inner: Any = env.unwrapped
-    differences = [*policy.differences]
     return {
         "versions": library_versions(*DRIVING_LIBRARIES),
-        "policy": {**policy.about, "differences": differences, "privileged": policy.privileged},
+        "policy": {
+            **policy.about,
+            "differences": [*policy.differences],
+            "privileged": policy.privileged,
+        },
         "env": _describe_env(env),
         "task": {"sha256": hash_source(type(inner.task))},
         "robot": {"sha256": hash_config(inner.robot.config)},
@@ -108,7 +111,7 @@ def hash_source(code: Any) -> str:
 
 
 def hash_world(world: World) -> bytes:
-    """Hash the numbers that define a world; its path only if nothing stands or moves in it."""
+    """Hash the numbers that define a world, its path only if nothing stands or moves in it."""
     start = world.start
     goal = world.goal
     theta = -10.0 if start.theta is None else start.theta
@@ -158,6 +161,8 @@ def _describe_worlds(pool: Pool | None) -> dict[str, Any]:
         "difficulty": [worlds.difficulty for worlds in pool.sets],
         "radius": pool.radius,
     }
+
+    # Worlds of this package depend on its sources. Others may come from anywhere.
     contents = [fingerprint()]
     if not all(worlds.generator in BUILT_IN_KINDS for worlds in pool.sets):
         contents += [hash_world(world).hex() for world in pool]

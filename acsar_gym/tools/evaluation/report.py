@@ -64,7 +64,7 @@ def escape_text(text: str) -> str:
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables; piped output is wide enough for all columns, unless COLUMNS is set."""
+    """Print tables. Piped output is wide enough for all columns, unless COLUMNS is set."""
     console = SafeConsole()
     if not console.is_terminal and not os.environ.get("COLUMNS", "").strip("0").isdecimal():
         console = SafeConsole(width=PIPED_WIDTH)
@@ -80,7 +80,7 @@ def watch_progress(what: str, items: Iterable[Item], total: int) -> Iterable[Ite
 
 
 def check_writable(path: Path | None) -> None:
-    """Check before a long run that its result can be written; ConfigError if not."""
+    """Check before a long run that its result can be written. ConfigError if not."""
     if path is None:
         return
     if path.is_dir() or not (path.parent.is_dir() and os.access(path.parent, os.W_OK)):
@@ -88,7 +88,7 @@ def check_writable(path: Path | None) -> None:
 
 
 def write_json(path: Path | None, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
-    """Write a JSON file, on one line if `indent` is None; do nothing if `path` is None."""
+    """Write a JSON file, on one line if `indent` is None. Do nothing if `path` is None."""
     if path is None:
         return
     reading.write_atomically(
@@ -159,6 +159,7 @@ def count_cells(summary: Summary) -> dict[str, str]:
     lateness = f"{summary.late_ticks} of {summary.ticks}"
     if not math.isnan(summary.worst_lateness):
         lateness += f", {summary.worst_lateness * 1e3:.2f} ms"
+
     cells = {
         "successes": f"{successes}/{summary.episodes} ({summary.success_rate:.1%})",
         "late ticks": lateness,

@@ -112,7 +112,7 @@ class EvaluationRun:
         """Return header, means and every episode, for JSON."""
         return {
             "header": self.header,
-            **metrics.replace_nonfinite(self.summary),
+            **metrics.replace_nonfinite(vars(self.summary)),
             "ended_early": self.ended_early,
             "per_episode": metrics.replace_nonfinite(self.results),
         }
@@ -210,6 +210,7 @@ def _fit_policy(policy: FilePolicy, env: RobotEnv) -> None:
 
 def _check_id(policy: FilePolicy) -> str:
     """Return the id of the env that a policy is for. PolicyError if it may not name it."""
+    # The id comes from a file, perhaps of a stranger: it may import nothing.
     env_id = escape_unprintable(policy.env_id, 300)
     if not env_id:
         raise PolicyError(
@@ -217,6 +218,7 @@ def _check_id(policy: FilePolicy) -> str:
             f"'acsar-gym policy {policy.path} --out policy.onnx --trust --env point_goal' or "
             "another env"
         )
+
     if not policy.env_named and not env_id.startswith("acsar_gym/"):
         raise PolicyError(
             f"{policy.path}: made for {env_id}, which isn't acsar_gym's: if you trust that "
@@ -244,13 +246,9 @@ PolicyLoader = Callable[[], FilePolicy]
 def send_policy(policy: FilePolicy) -> PolicyLoader:
     """Return what loads a policy in another process: code by its name, others by their bytes."""
     if policy.instance is not None or not isinstance(policy, CallablePolicy):
-        return partial(_keep, policy)
+        return partial(load_policy, policy, trust=False)
     name = f"{policy.path}:{policy.function}" if policy.function else str(policy.path)
     return partial(_load_code, name, policy.env_id, policy.sha256)
-
-
-def _keep(policy: FilePolicy) -> FilePolicy:
-    return policy
 
 
 @lru_cache(maxsize=4)
@@ -278,15 +276,15 @@ class EpisodeJob:
         """Make the env of the episodes, and check that the policy fits, see `make_env`."""
         return make_env(self.load(), self.link, self.robot, self.options)
 
-    def drive(self, env: Env) -> Generator[Episode, None, None]:
-        """Drive the episodes, and yield each."""
-        return episodes.run_resets(env, self.load(), self.resets, self.late_share)
+    def drive(self, env: Env) -> list[Episode]:
+        """Drive the episodes in their env, and close it."""
+        with contextlib.closing(env):
+            return list(episodes.run_resets(env, self.load(), self.resets, self.late_share))
 
 
 def run_job(job: EpisodeJob) -> list[Episode]:
     """Run the episodes of a job."""
-    with contextlib.closing(job.make_env()) as env:
-        return list(job.drive(env))
+    return job.drive(job.make_env())
 
 
 def evaluate_policy(
@@ -328,7 +326,8 @@ def evaluate_policy(
         running = episodes.run_resets(env, policy, resets, late_share)
         if is_parallel:
             load = send_policy(policy)
-            job = EpisodeJob(load, link, RobotConfig.of(robot), options, resets, late_share)
+            config = RobotConfig.of(robot)
+            job = EpisodeJob(load, link, config, options, resets=resets, late_share=late_share)
             running = _run_in_parallel(job, workers or 1)
         title = f"episodes, {report.escape_text(link)}"
         with contextlib.closing(running):
@@ -336,13 +335,14 @@ def evaluate_policy(
 
     about = {"late_share": late_share}
     done = drive_episodes(policy, link, robot, drive, about=about, seeds=seeds, **options)
-    done.results.sort(key=lambda episode: seeds.index(episode.seed or 0))
+    done.results.sort(key=lambda episode: episode.seed or 0)
     done.header["workers"] = workers or 1
     return done
 
 
 def _run_in_parallel(job: EpisodeJob, workers: int) -> Generator[Episode, None, None]:
     """Yield the episodes of a job, which several processes drive in parts."""
+    # Small parts, so that no worker waits long for the last one.
     size = len(job.resets) // (PARTS_PER_WORKER * workers)
     size = max(1, min(MAX_PART_EPISODES, size))
     parts = [
@@ -407,6 +407,8 @@ def drive_episodes(
         **options: Other arguments of the env.
     """
     check_extra("an evaluation", "scipy", "scipy")  # before the first episode, not after the last
+
+    # Farther goals need more time, and the policy sees distances in the scale of its training.
     if options.get("goal_distance") is not None and policy.scale:
         options["distance_scale"] = policy.scale
         steps = gymnasium.spec(_check_id(policy)).max_episode_steps
@@ -414,14 +416,15 @@ def drive_episodes(
             options["max_episode_steps"] = math.ceil(steps * max(1.0, farthest / policy.scale))
     compile_ahead(policy, link, RobotConfig.of(robot))
     env = make_env(policy, link, robot, options)
-    for line in policy.differences:
-        warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=2)
 
+    # Whatever ends the drive early, finished episodes are results.
     results: list[Episode] = []
     ended: LinkError | KeyboardInterrupt | None = None
     try:
+        for line in policy.differences:
+            warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=2)
         for episode in drive(env):
-            results.append(episode)  # noqa: PERF402 - finished episodes count if others fail
+            results.append(episode)  # noqa: PERF402 - an error must leave the others
     except (EmergencyStopError, KeyboardInterrupt) as error:
         ended = error
     except LinkError as error:

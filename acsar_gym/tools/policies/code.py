@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import re
 import sys
 import traceback
@@ -15,7 +14,13 @@ from typing import Any
 import numpy as np
 
 from acsar_gym import reading
-from acsar_gym.errors import AcsarError, PolicyError, format_error, suggest_name
+from acsar_gym.errors import (
+    AcsarError,
+    PolicyError,
+    escape_unprintable,
+    format_error,
+    suggest_name,
+)
 from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies.policy import Actions, FilePolicy, PolicyContext
 
@@ -49,8 +54,8 @@ class CallablePolicy(FilePolicy):
     Args:
         policy: "FILE.py:NAME" or "module:NAME" of a function or class, or an object. A class is
             called without arguments, a `FilePolicy` such as a baseline with `env_id`.
-        env_id: Id of the env that it is for; by default the global ENV_ID of file or module, or
-            the object's own `env_id`.
+        env_id: Id of the env that it is for. Default: the global ENV_ID of file or module, or the
+            `env_id` of the object.
 
     Raises:
         PolicyError: There is no such file or name, its code raises an exception, no env is named,
@@ -69,31 +74,33 @@ class CallablePolicy(FilePolicy):
     def __init__(self, policy: Any, env_id: str = "") -> None:
         self._source = ""
         if not isinstance(policy, str):
-            module, code = self._take_object(policy)
+            self.instance = policy
+            self._name = getattr(policy, "__name__", type(policy).__name__)
+            self.path = Path(self._name)
+            module: ModuleType | None = None
+            code = policy
         elif _is_file(policy):
             module, code = self._load_file(policy)
         else:
             module, code = self._load_module(policy)
 
+        if not callable(code):
+            functions = [name for name, value in vars(module).items() if callable(value)]
+            problem = f"has no function {self._name!r}" if self._name else "name a function of it"
+            hint = suggest_name(self._name, functions)
+            raise PolicyError(f"{self.path}: {problem}, as in {self.path.name}:act{hint}")
         self.said_id = str(getattr(module, "ENV_ID", "") or getattr(code, "env_id", ""))
-        """The id that the code itself names; empty if it names none."""
+        """The id that the code itself names. Empty if it names none."""
         self.env_id = env_id or self.said_id
         if not self.env_id:
             raise PolicyError(
-                f"{self.path}: doesn't say which environment it is for: pass --env point_goal or "
-                "another, or set ENV_ID in it"
+                f"{self.path}: names no environment: pass --env point_goal or another, or set "
+                "ENV_ID in it"
             )
         self._act = self._make(code) if isinstance(code, type) else code
 
-    def _take_object(self, policy: Any) -> tuple[None, Any]:
-        """Take an object itself."""
-        self.instance = policy
-        self._name = getattr(policy, "__name__", type(policy).__name__)
-        self.path = Path(self._name)
-        return None, self._check_callable(policy, ())
-
     def _load_module(self, policy: str) -> tuple[ModuleType, Any]:
-        """Import "module:NAME"; a module in the current folder is found as well."""
+        """Import "module:NAME". A module in the current folder is found as well."""
         self.path = Path(policy)
         self._name = policy.rpartition(":")[2]
         with reading.find_modules_here():
@@ -102,10 +109,10 @@ class CallablePolicy(FilePolicy):
         self._source = str(getattr(module, "__file__", None) or "")
         if self._source:
             self.sha256 = hashlib.sha256(Path(self._source).read_bytes()).hexdigest()
-        return module, self._check_callable(code, vars(module))
+        return module, code
 
     def _load_file(self, policy: str) -> tuple[ModuleType, Any]:
-        """Run "FILE.py:NAME" as a module."""
+        """Run "FILE.py:NAME" as a module, with the modules of its folder."""
         self._source, _, name = policy.rpartition(":")
         if policy.endswith(".py"):
             self._source = policy
@@ -115,57 +122,40 @@ class CallablePolicy(FilePolicy):
         self.path = Path(self._source)
         source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
         self.sha256 = hashlib.sha256(source).hexdigest()
-        module = self._run_source(source)
-        code = getattr(module, name, None) if name else None
-        return module, self._check_callable(code, vars(module))
 
-    def _run_source(self, source: bytes) -> ModuleType:
-        """Run the file's source as a module."""
-        name = f"acsar_gym_policy_{self.path.stem}"
-        spec = importlib.util.spec_from_file_location(name, self.path)
-        if spec is None:
-            raise PolicyError(f"{self.path}: not a Python file")
-        module = importlib.util.module_from_spec(spec)
+        module = ModuleType(f"acsar_gym_policy_{self.path.stem}")
+        module.__file__ = self._source
         folder = str(self.path.resolve().parent)
         if folder not in sys.path:
-            sys.path.append(folder)  # the file may import modules of its own folder
-        sys.modules[name] = module  # dataclasses and pickle look for modules there
+            sys.path.append(folder)
+        sys.modules[module.__name__] = module  # dataclasses and pickle look for modules there
 
         def run() -> None:
-            exec(compile(source, self.path, "exec"), module.__dict__)  # noqa: S102 - named by the user
+            exec(compile(source, self.path, "exec"), vars(module))  # noqa: S102 - named by the user
 
         self._call("can't be run", run)
-        return module
-
-    def _check_callable(self, code: Any, names: Any) -> Any:
-        """Return a function or class; PolicyError with the names that there are."""
-        if callable(code):
-            return code
-        functions = [name for name in names if callable(names[name]) and name[:1] != "_"]
-        problem = f"has no function {self._name!r}" if self._name else "name a function of it"
-        hint = suggest_name(self._name, functions) if functions else ""
-        raise PolicyError(f"{self.path}: {problem}, as in {self.path.name}:act{hint}")
+        return module, getattr(module, name, None) if name else None
 
     def _make(self, kind: type) -> Any:
         """Make an object of a class."""
         arguments = (self.env_id,) if issubclass(kind, FilePolicy) else ()
-        made = self._call("can't be made", kind, *arguments)
-        if not callable(made):
+        policy = self._call("can't be made", kind, *arguments)
+        if not callable(policy):
             raise PolicyError(f"{self.path}: {self._name} has no method __call__")
-        return made
+        return policy
 
     def bind(self, setting: PolicyContext) -> None:
-        """Call the object's own `bind`, if it has one; PolicyError if that raises an error."""
+        """Call `bind` of the object, if it has this method. PolicyError if that fails."""
         if (bind := getattr(self._act, "bind", None)) is not None:
             self._call("bind failed", bind, setting)
 
     def reset(self) -> None:
-        """Call the object's own `reset`, if it has one; PolicyError if that raises an error."""
+        """Call `reset` of the object, if it has this method. PolicyError if that fails."""
         if (reset := getattr(self._act, "reset", None)) is not None:
             self._call("reset failed", reset)
 
     def _call(self, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Call the user's code; PolicyError with the line of the file that raised an error."""
+        """Call the user's code. PolicyError with the line of the file that raised an error."""
         try:
             return function(*arguments)
         except AcsarError:
@@ -173,12 +163,12 @@ class CallablePolicy(FilePolicy):
         except (Exception, SystemExit) as error:
             frames = traceback.extract_tb(error.__traceback__)
             lines = [frame.lineno for frame in frames if frame.filename == self._source]
-            line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
-            place = f"{self.path}, line {line}" if line else f"{self.path}"
+            lines += [error.lineno] if isinstance(error, SyntaxError) else []
+            place = f"{self.path}, line {lines[-1]}" if lines else f"{self.path}"
             raise PolicyError(f"{place}: {what}: {format_error(error)}") from error
 
     def __call__(self, observation: Observation) -> Actions:
-        """Call the function; returns its action, shape (2,).
+        """Call the function, and return its action, shape (2,).
 
         Raises:
             PolicyError: The function raises an exception, or doesn't return two finite numbers.
@@ -189,6 +179,6 @@ class CallablePolicy(FilePolicy):
         except Exception:  # noqa: BLE001 - torch has errors of its own for tensors with gradients
             action = np.full(0, np.nan, np.float32)
         if action.shape != (2,) or not np.isfinite(action).all():
-            text = repr(returned).replace("\n", " ")[:100]
+            text = escape_unprintable(repr(returned), 100)
             raise PolicyError(f"{self.path}: {self._name} gave {text}: must be two finite numbers")
         return action

@@ -86,7 +86,7 @@ class PolicyDocument(Section):
     width: Annotated[int, Field(gt=0, le=100_000)]
     """How many numbers an observation has."""
     scale: Annotated[float, Field(gt=0.0)] | None = None
-    """Length that distances are divided by [m]; None: the task has none."""
+    """Length that distances are divided by [m]. None: the task has none."""
     rate: Annotated[float, Field(gt=0.0)]
     """Decisions per second [Hz]."""
     robot: dict[str, Range] = Field({})
@@ -101,21 +101,24 @@ class PolicyDocument(Section):
     def rows(self) -> Iterator[tuple[str, str]]:
         """Yield names and values, for a table."""
         for name, value in self.model_dump(mode="json").items():
-            if isinstance(value, dict):
-                for key, inner in value.items():
-                    yield f"{name} {key}", _show(inner)
-            else:
-                yield name, ", ".join(value) if isinstance(value, list) else _show(value)
+            items = value.items() if isinstance(value, dict) else [("", value)]
+            yield from ((f"{name} {key}".rstrip(), _show(item)) for key, item in items)
 
 
 def _show(value: Any) -> str:
     """Format a value, numbers and ranges in few digits."""
-    is_range = isinstance(value, list | tuple) and len(value) == 2
-    if is_range and all(isinstance(end, float) for end in value):
-        return " to ".join(f"{end:.4g}" for end in sorted({*value}))
     if isinstance(value, float):
         return f"{value:.6g}"
+    if isinstance(value, list | tuple) and len(value) == 2 and isinstance(value[0], float):
+        return " to ".join(f"{end:.4g}" for end in sorted({*value}))
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
     return value if isinstance(value, str) else json.dumps(value)
+
+
+def _quote(value: Any) -> str:
+    """Format a value of a file for a message."""
+    return escape_unprintable(_show(value), MAX_QUOTED_CHARS)
 
 
 def parse_document(metadata: Mapping[str, str]) -> PolicyDocument:
@@ -206,7 +209,7 @@ def describe_observation(task: Task, sensors: Iterable[Sensor]) -> list[str]:
 
 
 def observation_scale(task: Task) -> float | None:
-    """Return the length that a task divides observed distances by [m]; None if it has none."""
+    """Return the length that a task divides observed distances by [m]. None if it has none."""
     scale: float | None = getattr(task, "scale", getattr(task, "max_cross_track", None))
     return None if scale is None else float(scale)
 
@@ -275,6 +278,7 @@ def _widen(numbers: dict[str, list[float]], parameter: str, drawn: Iterable[floa
     """Replace the numbers of a robot by those that an episode can have."""
     row = TABLE[parameter]
     field = row.measured[0] if row.measured else RANDOMIZED_FIELDS.get(parameter, "")
+    # The largest change of the least number can be less than the number itself: take all products.
     widened = []
     for number, change in itertools.product(numbers.get(field, ()), drawn):
         if row.rule in (Rule.OFFSET, Rule.LATENCY):
@@ -297,48 +301,34 @@ def check_observation(
 
     A policy may leave out the last sensors, but not all of them.
     """
-    count = max(len(document.observation) - len(task.observation), 1)
-    kept = sensors[:count]
+    # Texts are compared, so that every difference can be named.
+    kept = sensors[: max(len(document.observation) - len(task.observation), 1)]
     lines = describe_observation(task, kept)
     pairs = itertools.zip_longest(document.observation, lines, fillvalue="nothing")
-    for number, (trained, line) in enumerate(pairs):
-        _require(trained == line, f"observation[{number}]", trained, line, task)
+    facts: dict[str, tuple[Any, Any]] = {f"observation[{n}]": pair for n, pair in enumerate(pairs)}
+    facts["width"] = (document.width, len(task.observation) + sum(s.size for s in kept))
+    facts["scale"] = (document.scale, observation_scale(task))
+    facts["rate"] = (document.rate, rate or document.rate)
 
-    width = len(task.observation) + sum(sensor.size for sensor in kept)
-    _require(document.width == width, "width", document.width, width, task)
-    scale = observation_scale(task)
-    _require(_is_close(document.scale, scale), "scale", document.scale, scale, task)
-    if rate is not None:
-        _require(_is_close(document.rate, rate), "rate", document.rate, rate, task)
-
-
-def _is_close(trained: float | None, current: float | None) -> bool:
-    if trained is None or current is None:
-        return trained is current
-    return math.isclose(trained, current, rel_tol=1e-6)
-
-
-def _require(is_equal: bool, field: str, trained: Any, current: Any, task: Task) -> None:
-    if not is_equal:
-        quoted = escape_unprintable(_show(trained), MAX_QUOTED_CHARS)
-        raise PolicyError(
-            f"{field} is {quoted} in the file and {_show(current)} in {task_name(task)}: give the "
-            f"env the arguments of the training, or {RETRAIN_HINT}"
-        )
+    for field, (trained, current) in facts.items():
+        are_numbers = isinstance(trained, float) and isinstance(current, float)
+        are_close = are_numbers and math.isclose(trained, current, rel_tol=1e-6)
+        if trained != current and not are_close:
+            raise PolicyError(
+                f"{field} is {_quote(trained)} in the file and {_show(current)} in "
+                f"{task_name(task)}: give the env the arguments of the training, or {RETRAIN_HINT}"
+            )
 
 
 def list_differences(document: PolicyDocument, task: Task, config: RobotConfig) -> list[str]:
     """Return how a task and a robot differ from those of the training, as lines for people."""
     options = task_options(task)
-    lines = []
-    for name, trained in document.options.items():
-        if name in options and name not in NOT_COMPARED and options[name] != trained:
-            quoted = escape_unprintable(_show(trained), MAX_QUOTED_CHARS)
-            current = f"{_show(options[name])} in this task"
-            lines.append(f"{name} was {quoted} in the training and is {current}")
-
-    numbers = _list_outside(document, config, MARGIN, ABSOLUTE_MARGIN)
-    if numbers:
+    lines = [
+        f"{name} was {_quote(trained)} in the training and is {_show(options[name])} in this task"
+        for name, trained in document.options.items()
+        if name in options and name not in NOT_COMPARED and options[name] != trained
+    ]
+    if numbers := _list_outside(document, config, MARGIN, ABSOLUTE_MARGIN):
         lines.append(
             f"this robot differs from the training: {', '.join(numbers)}: it may drive worse than "
             "it was measured to"

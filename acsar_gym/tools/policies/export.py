@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,32 +28,19 @@ class Normalizer(torch.nn.Module):
 
     def __init__(self, mean: ArrayLike, std: ArrayLike, clip: float | None = None) -> None:
         super().__init__()
-        self.mean: torch.Tensor
-        self.std: torch.Tensor
-        self.clip = clip
-        try:
-            numbers = [
-                np.atleast_1d(np.array(values, np.float32)) for values in (mean, std, clip or 1)
-            ]
-        except (TypeError, ValueError):
-            numbers = [np.full(1, np.nan)] * 3
-
-        is_finite = all(np.isfinite(array).all() and array.ndim == 1 for array in numbers)
-        if not is_finite or numbers[1].min() <= 0.0 or numbers[2].min() <= 0.0 or clip == 0:
-            raise PolicyError(
-                "normalizer: mean, std and clip must be finite numbers, std and clip positive"
-            )
-        self.register_buffer("mean", torch.from_numpy(numbers[0]))
-        self.register_buffer("std", torch.from_numpy(numbers[1]))
+        self.mean = torch.nn.Buffer(torch.tensor(np.atleast_1d(mean), dtype=torch.float32))
+        self.std = torch.nn.Buffer(torch.tensor(np.atleast_1d(std), dtype=torch.float32))
+        self.clip = math.inf if clip is None else clip
+        if not (torch.isfinite(self.mean).all() and self.std.min() > 0.0 and self.clip > 0.0):
+            raise PolicyError("normalizer: mean must be finite, std and clip must be positive")
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Normalize observations, shape (batch, n)."""
-        scaled = (observation - self.mean) / self.std
-        return scaled if self.clip is None else torch.clamp(scaled, -self.clip, self.clip)
+        return torch.clamp((observation - self.mean) / self.std, -self.clip, self.clip)
 
 
 class Actor(torch.nn.Module):
-    """Calls a network of another library in its own way; see `policies.actor`."""
+    """Calls a network of another library in its own way. See `policies.actor`."""
 
     def __init__(self, network: torch.nn.Module, call: Callable[[Any, Any], Any]) -> None:
         super().__init__()
@@ -78,7 +65,7 @@ class _PolicyModule(torch.nn.Module):
 
 
 class _RecurrentModule(_PolicyModule):
-    """The same for a recurrent network, which also maps each state to the next one."""
+    """The same for a recurrent network, which also maps each state to the next state."""
 
     def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
         action, *next_states = self.network(self.normalizer(observation), *states)
@@ -103,8 +90,8 @@ def export_network(
     """Return a network as the content of an ONNX file that `OnnxPolicy` reads.
 
     Args:
-        network: Maps observations (batch, n) to actions (batch, 2); with states, an observation and
-            states to an action and the next states, with a batch of one.
+        network: Maps observations (batch, n) to actions (batch, 2). With states, it maps an
+            observation and states to an action and the next states, with a batch of one.
         document: What the file contains besides it.
         normalizer: Applied to observations first.
         states: Shapes of the states.
@@ -117,19 +104,27 @@ def export_network(
     shapes = [(1, document.width), *states]
     example = tuple(torch.zeros(*shape, device=weight.device) for shape in shapes)
     names = [f"state_{number}" for number in range(len(states))]
-    with _evaluation_mode(module), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
+
+    # Users may save in the middle of a training: every layer gets its mode back.
+    modes = [(layer, layer.training) for layer in module.modules()]
+    module.eval()  # without dropout
+    try:
         _check_module(module, example)
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision isn't needed
-        program: Any = torch.onnx.export(
-            module,
-            example,
-            input_names=["observation", *names],
-            output_names=["action", *(f"next_{name}" for name in names)],
-            dynamic_shapes=None if states else ({0: "batch"},),
-            dynamo=True,
-            verbose=False,
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # deprecations inside torch's own exporter
+            program: Any = torch.onnx.export(
+                module,
+                example,
+                input_names=["observation", *names],
+                output_names=["action", *(f"next_{name}" for name in names)],
+                dynamic_shapes=None if states else ({0: "batch"},),
+                dynamo=True,
+                verbose=False,
+            )
+    finally:
+        for layer, is_training in modes:
+            layer.training = is_training
 
     model: Any = program.model_proto  # each access makes a new one
     _remove_traces(model)
@@ -141,18 +136,6 @@ def export_network(
     return content
 
 
-@contextmanager
-def _evaluation_mode(module: torch.nn.Module) -> Iterator[None]:
-    """Switch dropout off, and set every part back to its mode."""
-    modes = [(layer, layer.training) for layer in module.modules()]
-    module.eval()
-    try:
-        yield
-    finally:
-        for layer, is_training in modes:
-            layer.training = is_training
-
-
 def _remove_traces(model: Any) -> None:
     """Remove torch's stack traces, which contain paths of this machine."""
     graph = model.graph
@@ -162,13 +145,7 @@ def _remove_traces(model: Any) -> None:
 
 
 def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
-    """Run the module once; PolicyError unless weights, action and states are as they must be."""
-    for name, weight in module.named_parameters():
-        if not torch.isfinite(weight).all():
-            raise PolicyError(
-                f"the module's weights {name} contain NaN or infinity, because its training "
-                "diverged: train again with a lower learning rate, or save an earlier state"
-            )
+    """Run the module once. PolicyError unless action and states are as they must be."""
     try:
         with torch.no_grad():
             returned = module(*example)
@@ -178,11 +155,14 @@ def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) ->
             f"the module doesn't take observations of shape {shape}: {format_error(error)}"
         ) from error
 
-    action, *states = returned if isinstance(returned, tuple) else (returned,)
-    if action.shape != (1, 2):
-        raise PolicyError(f"the module gives shape {tuple(action.shape)}: must be (batch, 2)")
-    if not torch.isfinite(action).all():
-        raise PolicyError(f"the module gives {action[0].tolist()} for an observation of zeros")
-    if [state.shape for state in states] != [state.shape for state in example[1:]]:
-        shapes = [tuple(state.shape) for state in states]
-        raise PolicyError(f"the module gives states of shape {shapes}: must be those that it takes")
+    results = returned if isinstance(returned, tuple) else (returned,)
+    shapes = [tuple(result.shape) for result in results]
+    expected = [(1, 2), *(tuple(state.shape) for state in example[1:])]
+    if shapes != expected:
+        raise PolicyError(f"the module gives shapes {shapes}: must be {expected}")
+    weights = (*module.parameters(), results[0])
+    if not all(torch.isfinite(weight).all() for weight in weights):
+        raise PolicyError(
+            "the module's weights contain NaN or infinity, because its training diverged: train "
+            "again with a lower learning rate, or save an earlier state"
+        )

@@ -25,7 +25,7 @@ from acsar_gym.tools.policies.policy import Actions, FilePolicy, resolve
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 MAX_POLICY_BYTES = 32_000_000
-"""Largest accepted ONNX file [bytes]; 8 million float32 weights."""
+"""Largest accepted ONNX file [bytes], 8 million float32 weights."""
 MAX_STATE_SIZE = 1_000_000
 """Most numbers of a recurrent state."""
 EXTERNAL_DATA = b"\n\x08location\x12"
@@ -33,10 +33,10 @@ EXTERNAL_DATA = b"\n\x08location\x12"
 
 
 class OnnxPolicy(FilePolicy):
-    """A policy read from an ONNX file; loading runs no code from the file.
+    """A policy read from an ONNX file. Loading runs no code from the file.
 
     The network maps `observation` (batch, n) to `action` (batch, 2). Each further input is a
-    recurrent state, whose next value is the output at the same place; all states are zeros at the
+    recurrent state, whose next value is the output at the same place. All states are zeros at the
     start of an episode. A policy can be pickled, with its file's content.
 
     Args:
@@ -78,7 +78,7 @@ class OnnxPolicy(FilePolicy):
         self.scale = self.document.scale
         self.reset()
         has_free_batch = isinstance(self._session.get_inputs()[0].shape[0], str)
-        if has_free_batch and not self._state_shapes:
+        if has_free_batch and not self._states:
             self.act_many = self._act_many
 
     def __getstate__(self) -> dict[str, Any]:
@@ -94,22 +94,21 @@ class OnnxPolicy(FilePolicy):
 
     def _check_network(self) -> None:
         """Find the states, and check that an observation of zeros gets the same action twice."""
-        inputs = [put.name for put in self._session.get_inputs()]
-        outputs = [put.name for put in self._session.get_outputs()]
-        if [inputs[:1], outputs[:1]] != [["observation"], ["action"]]:
-            names = (", ".join(inputs)[:40], ", ".join(outputs)[:40])
-            raise PolicyError(f"must map 'observation' to 'action', maps {names[0]} to {names[1]}")
-        self._state_shapes = {put.name: put.shape for put in self._session.get_inputs()[1:]}
+        inputs = self._session.get_inputs()
+        names = [inputs[0].name, self._session.get_outputs()[0].name]
+        if names != ["observation", "action"]:
+            raise PolicyError(f"must map 'observation' to 'action', not {str(names)[:80]}")
+        self._state_shapes = {put.name: put.shape for put in inputs[1:]}
         for name, shape in self._state_shapes.items():
-            fixed = all(isinstance(size, int) for size in shape)
-            if not fixed or math.prod(shape) > MAX_STATE_SIZE:
+            is_fixed = all(isinstance(size, int) for size in shape)
+            if not is_fixed or math.prod(shape) > MAX_STATE_SIZE:
                 raise PolicyError(f"state {name[:40]} has shape {str(shape)[:60]}: must be fixed")
 
+        # Loading decides once, so that a driving robot meets no first error.
+        self.reset()
+        zeros = {"observation": np.zeros((1, self.document.width), np.float32), **self._states}
         try:
-            zeros = np.zeros((1, self.document.width), np.float32)
-            states = self._zero_states()
-            action, *next_states = self._session.run(None, {"observation": zeros, **states})
-            again = self._session.run(None, {"observation": zeros, **states})[0]
+            (action, *states), (again, *_) = (self._session.run(None, zeros) for _ in range(2))
         except Exception as error:  # onnxruntime's errors have no common base of their own
             raise PolicyError(
                 f"doesn't decide for {self.document.width} numbers: {format_error(error)}"
@@ -117,15 +116,10 @@ class OnnxPolicy(FilePolicy):
         if action.shape != (1, 2) or action.dtype != np.float32 or not np.isfinite(action).all():
             text = str(action.tolist())[:100]
             raise PolicyError(f"gives {text} for zeros: must be (1, 2) finite float32 numbers")
-        shapes = [[*state.shape] for state in next_states]
-        if shapes != [[*shape] for shape in self._state_shapes.values()]:
+        if [[*state.shape] for state in states] != [[*s] for s in self._state_shapes.values()]:
             raise PolicyError("gives other states than it takes")
         if not np.array_equal(action, again):
             raise PolicyError("decides at random: must give the same action for the same input")
-
-    def _zero_states(self) -> dict[str, Any]:
-        """Return the states at the start of an episode."""
-        return {name: np.zeros(shape, np.float32) for name, shape in self._state_shapes.items()}
 
     def check(
         self,
@@ -139,11 +133,11 @@ class OnnxPolicy(FilePolicy):
         Args:
             task: Task of the env.
             sensors: Sensors of the env, in the order of the observation.
-            policy_rate: Policy steps per second of the env [Hz]; None to skip this check.
-            config: Robot of the env; None to skip its comparison.
+            policy_rate: Policy steps per second of the env [Hz]. None to skip this check.
+            config: Robot of the env. None to skip its comparison.
 
         Raises:
-            PolicyError: The observation or the rate is another one; the message names the line.
+            PolicyError: Observation or rate differ. The message names the line.
         """
         try:
             documents.check_observation(self.document, task, sensors, policy_rate)
@@ -159,7 +153,9 @@ class OnnxPolicy(FilePolicy):
 
     def reset(self) -> None:
         """Start an episode: the states of a recurrent policy become zeros."""
-        self._states = self._zero_states()
+        self._states: dict[str, Any] = {
+            name: np.zeros(shape, np.float32) for name, shape in self._state_shapes.items()
+        }
 
     def __call__(self, observation: Observation) -> Actions:
         """Compute the deterministic action in [-1, 1], shape (2,), for one observation.
@@ -195,7 +191,7 @@ def _load_session(content: bytes) -> Any:
     """Load an ONNX file, and no other format, for one thread.
 
     Raises:
-        PolicyError: It isn't one; the message doesn't name the file.
+        PolicyError: It isn't an ONNX file. The message doesn't name the file.
     """
     if content.startswith(b"PK"):
         raise PolicyError(

@@ -53,7 +53,7 @@ class FilePolicy(ABC):
 
     path: Path
     env_id: str
-    """Id of the env that it was trained for; empty if that isn't known."""
+    """Id of the env that it was trained for. Empty if that isn't known."""
     env_named: bool = False
     """Whether the user named `env_id`, and not the file."""
     anyway: bool = False
@@ -63,7 +63,7 @@ class FilePolicy(ABC):
     outside: tuple[str, ...] = ()
     """In which size and speed the robot of the last `check` is outside of the training."""
     scale: float | None = None
-    """Length that distances in its observation are divided by [m]; None if not known."""
+    """Length that distances in its observation are divided by [m]. None if not known."""
     sha256: str | None = None
     """SHA-256 of the file's content, as `sha256sum` prints it."""
     function: str | None = None
@@ -97,29 +97,29 @@ class FilePolicy(ABC):
         Args:
             task: Task of the env.
             sensors: Sensors of the env, in the order of the observation.
-            policy_rate: Policy steps per second of the env [Hz]; None to skip this check.
-            config: Robot of the env; None to skip its comparison.
+            policy_rate: Policy steps per second of the env [Hz]. None to skip this check.
+            config: Robot of the env. None to skip its comparison.
 
         Raises:
-            PolicyError: The observation or the rate is another one.
+            PolicyError: Observation or rate differ.
         """
 
     def bind(self, setting: PolicyContext) -> None:  # noqa: B027 - most policies need nothing of it
-        """Take what the policy needs to know of an env that was made for it; by default nothing.
+        """Give the policy robot and task of its env. By default it ignores them.
 
         Args:
             setting: Robot and task of the env, which isn't reset yet.
         """
 
     def watch(self, env: RobotEnv) -> None:  # noqa: B027 - most policies see observations only
-        """Take the env whose truth a `privileged` policy knows, after `bind`; by default nothing.
+        """Give a `privileged` policy access to the env, after `bind`. By default it ignores it.
 
         Args:
             env: The env that it will drive.
         """
 
     def reset(self) -> None:  # noqa: B027 - most policies have no memory
-        """Start an episode, right after the env's reset; by default nothing changes."""
+        """Start an episode, right after the env's reset. By default nothing changes."""
 
     @abstractmethod
     def __call__(self, observation: Observation) -> Actions:
@@ -172,11 +172,11 @@ class DecodedObservation:
     angular: float = math.nan
     """Yaw rate by odometry [rad/s]."""
     distance: float = math.nan
-    """To the goal [m]; NaN without one."""
+    """To the goal [m]. NaN without one."""
     bearing: float = math.nan
     """Of the goal, positive to the left [rad]."""
     ranges: Floats | None = None
-    """(rays,): the newest scan [m]; None without a LiDAR."""
+    """(rays,): the newest scan [m]. None without a LiDAR."""
     cross_track: float = math.nan
     """Distance from the path [m], positive if the robot is to the left of it."""
     heading_error: float = math.nan
@@ -222,11 +222,11 @@ class PolicyContext:
     scale: float | None
     """What distances are divided by [m]."""
     rays: slice | None
-    """Where the LiDAR's ranges are in the observation; None without a LiDAR."""
+    """Where the LiDAR's ranges are in the observation. None without a LiDAR."""
     map: MapSensor | None = field(default=None, repr=False, compare=False)
-    """The robot's map, which changes with every step; None without one."""
+    """The robot's map, which changes with every step. None without one."""
     episode_seed: Callable[[], int | None] = field(default=lambda: None, repr=False, compare=False)
-    """Returns the seed of the current episode; None if it has none."""
+    """Returns the seed of the current episode. None if it has none."""
 
     @classmethod
     def of(cls, env: RobotEnv) -> PolicyContext:
@@ -262,7 +262,7 @@ class PolicyContext:
         """Return a generator for the current episode, so that results repeat.
 
         Args:
-            name: Name of the policy; policies of other names draw other numbers.
+            name: Name of the policy. Policies of other names draw other numbers.
 
         Returns:
             A new generator, seeded by the name and the episode's seed.
@@ -275,7 +275,7 @@ class PolicyContext:
 
         Args:
             policy: Name of the policy.
-            names: Names of the numbers that it needs; () for the LiDAR.
+            names: Names of the numbers that it needs, () for the LiDAR.
             what: What they are in words, such as "a path".
             instead: An env that has it.
 
@@ -296,26 +296,25 @@ class PolicyContext:
             observation: float32 (n,), of the env.
 
         Returns:
-            Its numbers; NaN or None for what the task doesn't observe under the names of this
+            Its numbers. NaN or None for what the task doesn't observe under the names of this
             package's tasks.
         """
         numbers = observation.astype(np.float64)
+        named = {name: float(numbers[place]) for name, place in self.places.items()}
         scale = self.scale or 1.0
         decoded: dict[str, Any] = {}
 
-        def number(name: str) -> float:
-            return float(numbers[self.places[name]])
-
-        if "linear_velocity" in self.places and "angular_velocity" in self.places:
-            decoded["linear"] = number("linear_velocity") * self.config.max_linear
-            decoded["angular"] = number("angular_velocity") * self.config.max_angular
-        if "goal_distance" in self.places:
-            decoded["distance"] = number("goal_distance") * scale
-            decoded["bearing"] = math.atan2(number("goal_sin"), number("goal_cos"))
-        if "cross_track_error" in self.places:
-            decoded["cross_track"] = number("cross_track_error") * scale
-            decoded["heading_error"] = math.atan2(number("heading_sin"), number("heading_cos"))
-            decoded["remaining"] = number("remaining") * LENGTH_SCALE
+        # Only what the task observes under the names of this package's tasks.
+        if {"linear_velocity", "angular_velocity"} <= named.keys():
+            decoded["linear"] = named["linear_velocity"] * self.config.max_linear
+            decoded["angular"] = named["angular_velocity"] * self.config.max_angular
+        if "goal_distance" in named:
+            decoded["distance"] = named["goal_distance"] * scale
+            decoded["bearing"] = math.atan2(named["goal_sin"], named["goal_cos"])
+        if "cross_track_error" in named:
+            decoded["cross_track"] = named["cross_track_error"] * scale
+            decoded["heading_error"] = math.atan2(named["heading_sin"], named["heading_cos"])
+            decoded["remaining"] = named["remaining"] * LENGTH_SCALE
             first = self.places["ahead_1"]
             points = numbers[first : first + 2 * LOOKAHEAD].reshape(LOOKAHEAD, 2)
             decoded["points"] = points * (LOOKAHEAD * POINT_TIME * self.config.max_linear)

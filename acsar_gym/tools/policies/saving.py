@@ -26,8 +26,8 @@ def actor(network: torch.nn.Module, call: Callable[[Any, torch.Tensor], Any]) ->
     For instance TorchRL's, which returns mean and scale before the tanh of its distribution.
 
     Args:
-        network: Any module; its weights become part of the file.
-        call: Called with the network and observations (batch, n); returns actions (batch, 2).
+        network: Any module. Its weights become part of the file.
+        call: Called with the network and observations (batch, n), returns actions (batch, 2).
 
     Returns:
         A module that maps observations (batch, n) to actions (batch, 2).
@@ -64,14 +64,14 @@ def save(
         module: Maps observations (batch, n) to actions (batch, 2), which are clipped to [-1, 1].
         env_id: The env of the training, such as "acsar_gym/PointGoal-v0".
         path: The ONNX file to write.
-        normalizer: Of the observations: (mean, std), (mean, std, clip) or a module; mean and std
+        normalizer: Of the observations: (mean, std), (mean, std, clip) or a module. Mean and std
             are numbers or arrays (n,). It becomes part of the file.
         robot: Preset, file or config of the robot that it was trained on.
         training: How it was trained, as values by name.
         states: Shapes of the states of a recurrent module, which maps an observation (1, n) and
             states to an action (1, 2) and the next states.
         **env_kwargs: Other arguments of the env in the training, such as policy_rate=20.0 or
-            randomization; the file stores what follows from them.
+            randomization. The file stores what follows from them.
 
     Raises:
         ConfigError: There is no such environment, or it doesn't take these arguments.

@@ -24,28 +24,27 @@ _NO_INFO: dict[str, Any] = {}
 class BatchVecEnv(VecEnv):
     """A RobotVectorEnv as stable-baselines3's VecEnv, with the episode statistics of Monitor.
 
-    The batch may be inside Gymnasium's vector wrappers; `make_batch` makes one. It must use
+    `make_batch` makes one. The batch may be inside Gymnasium's vector wrappers, and must use
     AutoresetMode.SAME_STEP. While an episode goes on, the info of its robot is one shared empty
-    dict; at its end the info has `terminal_observation`, `episode` (r, l, t), `is_success`,
+    dict. At its end the info has `terminal_observation`, `episode` (r, l, t), `is_success`,
     `TimeLimit.truncated`, and, if the batch has them, the number of its `world` and the `drawn_`
     keys of its randomization. There are no single envs, so methods of single envs can't be called.
 
     Args:
-        batch: the batch to wrap.
+        batch: The batch to wrap.
 
     Raises:
-        ConfigError: it isn't a RobotVectorEnv, or has another autoreset mode.
+        ConfigError: It isn't a RobotVectorEnv, or has another autoreset mode.
     """
 
     def __init__(self, batch: VectorEnv[Any, Any, Any]) -> None:
         if not isinstance(batch.unwrapped, RobotVectorEnv):
-            raise ConfigError(f"{batch}: not a batch of acsar_gym; use sb3.make_batch")
+            raise ConfigError(f"{batch}: not a batch of acsar_gym: use sb3.make_batch")
         if batch.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ConfigError("stable-baselines3 needs autoreset_mode='SameStep'")
         self._batch: Any = batch  # Any: VectorEnv types `seed` as int, ours also takes a list
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
         self._actions: NDArray[np.float32] = np.zeros((batch.num_envs, 2), np.float32)
-        self._episode_options: dict[str, Any] = {}
         self._started = time.monotonic()
 
     @property
@@ -59,36 +58,21 @@ class BatchVecEnv(VecEnv):
 
         Returns:
             Observations, float32 (robots, n).
-        """
-        seeded = any(seed is not None for seed in self._seeds)
-        seeds = self._seeds if seeded else None
-        observations: NDArray[np.float32]
-        observations, _ = self._batch.reset(seed=seeds, options=self._episode_options)
-        self._reset_seeds()
-        return observations
-
-    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Set the options of `RobotVectorEnv.reset` for all later episodes.
-
-        Running episodes aren't affected.
-
-        Args:
-            options: one dict, whose values may have one row per robot; None removes the
-                options.
 
         Raises:
-            ConfigError: for unknown options, for a list, and for "reset_mask", as reset()
-                always resets all robots.
+            ConfigError: An option is unknown, or robots have options of their own: use one dict,
+                whose values may have one row per robot.
         """
-        if isinstance(options, list):
+        options = self._options[0]
+        if self._options != [options] * self.num_envs:
             raise ConfigError(
-                "set_options: give one dict for all robots, whose values may have a row for each, "
-                'such as {"world": [1000, 1001]}'
+                "set_options: give one dict for all robots, whose values may have a row for each"
             )
-        if options and "reset_mask" in options:
-            raise ConfigError("set_options: 'reset_mask' isn't one here: all robots are reset")
-        self._batch.unwrapped.set_options(options or {})
-        self._episode_options = dict(options or {})
+        seeds = None if self._seeds == [None] * self.num_envs else self._seeds
+        observations: NDArray[np.float32] = self._batch.reset(seed=seeds, options=options)[0]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store actions (robots, 2) for `step_wait`."""
@@ -111,17 +95,16 @@ class BatchVecEnv(VecEnv):
 
     def _describe_end(self, robot: int, info: dict[str, Any]) -> dict[str, Any]:
         """Return the info of a robot whose episode has ended."""
-        final = info["final_info"]
-
-        described = {name: final[name][robot] for name in final if name.startswith("drawn_")}
+        final = {name: row[robot] for name, row in info["final_info"].items()}
+        described = {name: final[name] for name in final if name.startswith("drawn_")}
         if "world" in final:
-            described["world"] = int(final["world"][robot])
+            described["world"] = int(final["world"])
         return described | {
             "terminal_observation": info["final_obs"][robot],
-            "is_success": bool(final["is_success"][robot]),
+            "is_success": bool(final["is_success"]),
             "episode": {
-                "r": float(final["episode_return"][robot]),
-                "l": int(final["episode_length"][robot]),
+                "r": float(final["episode_return"]),
+                "l": int(final["episode_length"]),
                 "t": time.monotonic() - self._started,
             },
         }
@@ -152,7 +135,7 @@ class BatchVecEnv(VecEnv):
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Return a picture for each robot, of which the first 16 are drawn.
 
-        None for each where the batch was made without `render_mode="rgb_array"`.
+        Each is None if the batch was made without `render_mode="rgb_array"`.
         """
         return self._batch.render() or [None] * self.num_envs
 
@@ -163,15 +146,15 @@ def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:
     Args:
         env_id: "point_goal", "acsar_gym/PointGoal-v0", or another package's id with the module
             that registers it, as in "mine.module:mine/Clearance-v0".
-        num_envs: number of robots.
-        **options: arguments of the env and of `RobotVectorEnv`: robot, worlds, randomization,
+        num_envs: Number of robots.
+        **options: Arguments of the env and of `RobotVectorEnv`: robot, worlds, randomization,
             threads, ...
 
     Returns:
         The batch, for the `env` argument of an algorithm.
 
     Raises:
-        ConfigError: for unknown ids and options.
+        ConfigError: An id or option is unknown.
     """
     options = {"autoreset_mode": AutoresetMode.SAME_STEP, **options}
     return BatchVecEnv(ids.make_vec(ids.find_id(env_id), num_envs, **options))

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Dict, Space
+from gymnasium.spaces import Box, Space
 
 from acsar_gym import reading
 from acsar_gym.envs.ids import full_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import PolicyError, escape_unprintable, format_error, require_extra
+from acsar_gym.tasks.factory import task_name
 from acsar_gym.tools.policies.document import (
     DOCUMENT_KEY,
     PolicyDocument,
@@ -30,15 +31,16 @@ with require_extra("stable-baselines3", "train"):
     import torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy
+    from stable_baselines3.common.running_mean_std import RunningMeanStd
     from stable_baselines3.common.save_util import load_from_zip_file
     from stable_baselines3.common.vec_env import VecNormalize
 
 MAX_STATISTICS_BYTES = 100_000_000
-"""Largest accepted VecNormalize file [bytes]; it can contain old observations."""
+"""Largest accepted VecNormalize file [bytes]. It can contain old observations."""
 STATISTICS_PATTERNS = ("*vecnormalize*.pkl", "*/vecnormalize.pkl")
 """Names of VecNormalize files in a model's folder or, as RL Zoo stores them, one folder deeper."""
 INFERENCE_OBJECTS = {"learning_rate": 0.0, "lr_schedule": None, "clip_range": 0.0}
-"""Replace what only training needs; other Python versions may not unpickle schedules."""
+"""Replace what only training needs. Other Python versions may not unpickle schedules."""
 
 
 class _Actor(torch.nn.Module):
@@ -65,27 +67,8 @@ class _RecurrentActor(_Actor):
         return action, hidden, cell
 
 
-class _StackedActor(torch.nn.Module):
-    """The same for a policy that was trained with VecFrameStack.
-
-    Its observation is the last observations side by side, the newest at the end. The others are its
-    first state, which is zeros at the start of an episode, as in VecFrameStack.
-    """
-
-    def __init__(self, actor: torch.nn.Module, normalizer: torch.nn.Module) -> None:
-        super().__init__()
-        self.actor = actor
-        self.normalizer = normalizer
-
-    def forward(self, observation: torch.Tensor, frames: torch.Tensor, *states: Any) -> Any:
-        stacked = torch.cat((frames, observation), 1)
-        returned = self.actor(self.normalizer(stacked), *states)
-        action, *next_states = returned if isinstance(returned, tuple) else (returned,)
-        return action, stacked[:, observation.shape[1] :], *next_states
-
-
 def label(model: BaseAlgorithm, document: PolicyDocument) -> None:
-    """Store in a model what it was trained for and how; `model.save` keeps this."""
+    """Store in a model what it was trained for and how. `model.save` keeps this."""
     setattr(model, DOCUMENT_KEY, document.as_json())
 
 
@@ -96,10 +79,8 @@ def export_policy(
 
     Args:
         policy: The policy of a model of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
-        document: What it was trained for. If its observation is smaller than the policy's, earlier
-            observations become a state.
-        normalizer: Applied to observations first, or to the stacked observations if it has as many
-            numbers as these.
+        document: What it was trained for.
+        normalizer: Applied to observations first.
 
     Raises:
         PolicyError: The policy doesn't fit the document, or can't be exported.
@@ -111,14 +92,6 @@ def export_policy(
         actor = _RecurrentActor(policy)
         states = ((lstm.num_layers, 1, lstm.hidden_size),) * 2
 
-    width: int = sum(policy.observation_space.shape or ())
-    if width > document.width:
-        states = ((1, width - document.width), *states)
-        if normalizer is not None and len(normalizer.mean) == width:
-            actor = _StackedActor(actor, normalizer)
-            normalizer = None
-        else:
-            actor = _StackedActor(actor, torch.nn.Identity())
     torch.distributions.Distribution.set_default_validate_args(False)  # can't be exported
     try:
         return export_network(actor, document, normalizer, states)
@@ -133,20 +106,19 @@ def convert_zip(
     robot: str | Path | None = None,
     vecnormalize: str | Path | None = None,
 ) -> bytes:
-    """Return the policy of a model's zip as the content of an ONNX file; can run code of the zip.
+    """Return the policy of a model's zip as the content of an ONNX file. Can run code of the zip.
 
     Args:
         content: Content of the zip.
         path: Its path, beside which a VecNormalize may be.
-        env_id: Id of the env that it is for; by default that of its label.
+        env_id: Id of the env that it is for. Default: that of its label.
         robot: Preset or file of the robot of the training, if there is no label.
         vecnormalize: File of the VecNormalize of the training, or "none".
 
     Raises:
-        PolicyError: It can't be converted; the message doesn't name the zip.
+        PolicyError: It can't be converted. The message doesn't name the zip.
     """
     data, policy = _load_zip(content)
-    width: int = sum(policy.observation_space.shape or ())
     document = None
     with suppress(PolicyError):  # of an older version: like no label
         document = parse_document({DOCUMENT_KEY: str(data.get(DOCUMENT_KEY))})
@@ -158,13 +130,14 @@ def convert_zip(
         with planar_env(env_id, robot=robot) as env:
             document = describe_policy(env, env_id, width=_find_width(policy, env))
 
+    # VecNormalize isn't part of a zip.
     file = _find_statistics(data, path, vecnormalize)
-    normalizer = None if file is None else read_normalizer(file, {document.width, width})
+    normalizer = None if file is None else read_normalizer(file, document.width)
     return export_policy(policy, document, normalizer)
 
 
 def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
-    """Load the data and the policy of a zip."""
+    """Load the data of a zip, and make its policy without its algorithm."""
     loading: Any = load_from_zip_file
     try:
         with warnings.catch_warnings():
@@ -173,25 +146,20 @@ def _load_zip(content: bytes) -> tuple[dict[str, Any], BasePolicy]:
                 io.BytesIO(content), device="cpu", custom_objects=INFERENCE_OBJECTS
             )
         spaces = (data["observation_space"], data["action_space"])
+        arguments = dict(data["policy_kwargs"])
+        if issubclass(data["policy_class"], ActorCriticPolicy):
+            arguments["use_sde"] = data["use_sde"]
         if all(isinstance(space, Box) for space in spaces):
-            return data, _make_policy(data, spaces, parameters["policy"])
+            policy: BasePolicy = data["policy_class"](*spaces, lambda _: 0.0, **arguments)
+            policy.load_state_dict(parameters["policy"])
+            return data, policy
     except Exception as error:
         raise PolicyError(f"not a stable-baselines3 model: {format_error(error)}") from error
 
     raise PolicyError(
-        f"made for {_describe(spaces[0])} and {_describe(spaces[1])}: a policy of this package "
-        "gets a row of numbers and gives two"
+        f"made for {_describe(*spaces)}: a policy of this package gets a row of numbers and gives "
+        "two"
     )
-
-
-def _make_policy(data: Mapping[str, Any], spaces: Any, weights: Any) -> BasePolicy:
-    """Make the policy of a model without its algorithm."""
-    arguments = dict(data["policy_kwargs"])
-    if issubclass(data["policy_class"], ActorCriticPolicy):
-        arguments["use_sde"] = data["use_sde"]
-    policy: BasePolicy = data["policy_class"](*spaces, lambda _: 0.0, **arguments)
-    policy.load_state_dict(weights)
-    return policy
 
 
 def _find_width(policy: BasePolicy, env: RobotEnv) -> int:
@@ -203,33 +171,27 @@ def _find_width(policy: BasePolicy, env: RobotEnv) -> int:
     observed: Any = env.observation_space
     space: Any = policy.observation_space
     width = len(space.low)
-    frames = 1 if width % len(observed.low) else width // len(observed.low)
-    ends = [np.repeat(end, frames)[:width] for end in (observed.low, observed.high)]  # SB3's order
-    same = np.array_equal([space.low, space.high], ends) and policy.action_space == env.action_space
-    if not same:
+    ends = [observed.low[:width], observed.high[:width]]
+    is_equal = np.array_equal([space.low, space.high], ends)
+    if not is_equal or policy.action_space != env.action_space:
         raise PolicyError(
-            f"made for {_describe(space)} and actions {_describe(policy.action_space)}, but "
-            f"{env.spec.id if env.spec else 'the env'} has {_describe(observed)} and "
-            f"{_describe(env.action_space)}: of the wrappers that change observations, only "
-            "VecNormalize and VecFrameStack can be part of a policy"
+            f"made for {_describe(space, policy.action_space)}, but {task_name(env.task)} has "
+            f"{_describe(observed, env.action_space)}: of the wrappers that change observations, "
+            "only VecNormalize can be part of a policy"
         )
-    return width // frames
+    return width
 
 
-def _describe(space: Space[Any]) -> str:
-    """Describe a space in a few words, however many numbers it has."""
-    if isinstance(space, Box):
-        return f"Box({space.low.min()}, {space.high.max()}, {space.shape})"
-    if isinstance(space, Dict):
-        return f"a Dict of {escape_unprintable(', '.join(map(str, space)))[:100]}"
-    return f"a {type(space).__name__}"
+def _describe(*spaces: Space[Any]) -> str:
+    """Describe the spaces of observations and actions in a few words."""
+    return " and ".join(escape_unprintable(" ".join(str(space).split()), 80) for space in spaces)
 
 
 # VecNormalize
 
 
 def _find_statistics(data: Mapping[str, Any], path: Path, named: str | Path | None) -> Path | None:
-    """Return the VecNormalize file to use; PolicyError if the model needs one that isn't there."""
+    """Return the VecNormalize file to use. PolicyError if the model needs one that isn't there."""
     if named is not None:
         return None if str(named) == "none" else Path(named)
     if not _is_normalized(data):
@@ -256,21 +218,19 @@ def _is_normalized(data: Mapping[str, Any]) -> bool:
     if normalized is None or original is None or np.array_equal(normalized, original):
         return False
     space = data["observation_space"]
-    is_inside = [
-        bool(((space.low <= last) & (last <= space.high)).all()) for last in (normalized, original)
-    ]
-    return "replay_buffer_class" not in data or is_inside == [False, True]
+    is_outside = bool(((normalized < space.low) | (normalized > space.high)).any())
+    return is_outside or "replay_buffer_class" not in data
 
 
-def read_normalizer(path: Path, widths: set[int]) -> Normalizer | None:
+def read_normalizer(path: Path, width: int) -> Normalizer | None:
     """Read the normalization of observations from a saved VecNormalize, which can run any code.
 
     Args:
         path: The pickle file.
-        widths: Sizes that the observation may have: of one, and of stacked ones.
+        width: Size of an observation.
 
     Returns:
-        The module; None if the VecNormalize doesn't change observations.
+        The module. None if the VecNormalize doesn't change observations.
 
     Raises:
         PolicyError: The file can't be read, isn't a VecNormalize, or is for other observations.
@@ -286,10 +246,7 @@ def read_normalizer(path: Path, widths: set[int]) -> Normalizer | None:
         return None
 
     statistics: Any = saved.obs_rms
-    mean: Any = getattr(statistics, "mean", None)
-    shape = np.shape(mean)
-    if shape not in {(width,) for width in widths}:
-        sizes = " or ".join(f"({width},)" for width in sorted(widths))
-        raise PolicyError(f"{path}: for observations of shape {shape}, the model takes {sizes}")
+    if not isinstance(statistics, RunningMeanStd) or statistics.mean.shape != (width,):
+        raise PolicyError(f"{path}: isn't for observations of {width} numbers")
     deviation = np.sqrt(statistics.var + saved.epsilon)
-    return Normalizer(mean, deviation, saved.clip_obs)
+    return Normalizer(statistics.mean, deviation, saved.clip_obs)

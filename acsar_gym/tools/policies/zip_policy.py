@@ -18,17 +18,17 @@ MAX_ZIP_BYTES = 500_000_000
 class ZipPolicy(OnnxPolicy):
     """A policy from a zip of PPO, A2C, SAC, TD3, DDPG, TQC or RecurrentPPO.
 
-    The model is exported in memory, and the result drives. Loading a zip can run any code in it. A
-    policy that was trained with VecFrameStack gets its last observations as states. The statistics
-    of a VecNormalize aren't part of a zip, so its file must be beside the zip, or be named.
+    The model is exported in memory, and the result drives. Loading a zip can run any code in it.
+    The statistics of a VecNormalize aren't part of a zip, so its file must be next to the zip, or
+    be named.
 
     Args:
         path: The zip.
-        trust: Whether the user trusts the zip; without it, only the names in it are read.
-        env_id: Id of the env that it is for; by default the one that `acsar-gym train` stored.
+        trust: Whether the user trusts the zip. Without it, only the names in it are read.
+        env_id: Id of the env that it is for. Default: the env that `acsar-gym train` stored.
         robot: Preset, file or config of the robot that it was trained on, if the zip doesn't say.
-        vecnormalize: File of the VecNormalize that it was trained with; "none" if that changed
-            only rewards. By default the file beside the zip, if the zip needs one.
+        vecnormalize: File of the VecNormalize that it was trained with, or "none" if that changed
+            only rewards. Default: the file beside the zip, if the zip needs one.
 
     Raises:
         PolicyError: `trust` is False, or the file is missing, broken or of another kind, or it

@@ -248,7 +248,7 @@ def find_quantum(speeds: Floats) -> Estimate | None:
         The step. If it is too fine to be seen, the step of two decimals with an interval from 0
         on. None if there are too few different speeds.
     """
-    printed: Floats = np.asarray(np.round(np.abs(speeds[np.isfinite(speeds)]), 2), np.float64)
+    printed: Floats = np.asarray(np.round(np.abs(speeds), 2), np.float64)
     values, counts = np.unique(printed[printed > 0.0], return_counts=True)
     if len(values) < 2:
         return None

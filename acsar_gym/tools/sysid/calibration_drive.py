@@ -215,6 +215,7 @@ def drive_plans(
     if space is not None or not simulated:
         check_space(plans, robot.config, space)
     free = space or find_needed_space(plans, robot.config)
+
     try:
         for planned in plans:
             # A simulated robot starts each run at the origin, so that it needn't drive back.

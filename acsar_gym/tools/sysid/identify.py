@@ -58,7 +58,7 @@ GAP_NOISE = 0.1
 """Difference of wheel speeds if a drive is repeated, RMS [rad/s]. `gap` can't see less.
 
 The same commands, with other phases of the board's clocks: 0.04 to 0.06, 0.1 at most (median and
-maximum of pairs, for simulated robots and tests/tools/sysid/integer_board.py. `pytest -s -m slow
+maximum of pairs, for simulated robots and tests/integer_board.py. `pytest -s -m slow
 tests/tools/sysid/test_integer_board.py -k repeated` prints some)."""
 NOISES = 2.0
 """A model fits if its held-out error is at most this many times the noise, or `GAP_NOISE` if that

@@ -133,16 +133,6 @@ def simulate_speeds(
     return speeds
 
 
-def ramp_step(slowness: float, dt: float) -> float:
-    """Return the largest change of a set point in a loop [rad/s]. It is infinite without a ramp."""
-    return dt / slowness if slowness > 0.0 else np.inf
-
-
-def lag_blend(lag: float, dt: float) -> float:
-    """Return the share of the difference by which a speed changes in a loop of `dt` [s]."""
-    return float(1.0 - np.exp(-dt / lag)) if lag > 0.0 else 1.0
-
-
 @dataclass(frozen=True, eq=False)
 class Responder:
     """Computes how the wheels of a model answer to the commands of tracks."""
@@ -171,8 +161,8 @@ class Responder:
         edges, (older, newer, share) = self._commands(place, times)
         speeds = simulate_speeds(
             (older[wheel], newer[wheel], share),
-            step=ramp_step(model.slowness, self.dt),
-            blend=lag_blend(model.lag, self.dt),
+            step=self.dt / model.slowness if model.slowness > 0.0 else np.inf,
+            blend=float(1.0 - np.exp(-self.dt / model.lag)),
             gain=model.gain,
             deadband=model.deadband,
             top=self.top,

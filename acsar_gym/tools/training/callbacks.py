@@ -2,21 +2,45 @@
 
 from __future__ import annotations
 
+import csv
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from statistics import fmean
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from rich.progress import Progress
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 
-from acsar_gym.tools.evaluation.metrics import Summary
-from acsar_gym.tools.training import folders, held_out
-from acsar_gym.tools.training.held_out import Curve, Decide
+from acsar_gym import reading
+from acsar_gym.tools.evaluation.episode import describe_end
+from acsar_gym.tools.training import folders
+from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED
 from acsar_gym.vector.env import RobotVectorEnv
+from acsar_gym.worlds.crowd import PERSON_HIT
+
+DRAWN_COLUMNS = ("success_rate", "mean_return", "collision_rate")
+AXES = {"steps": "env steps", "seconds": "time [s]"}
+
+
+class Score(NamedTuple):
+    """Rates and means over held-out episodes, a row of the learning curve."""
+
+    steps: int
+    """Env steps of the training."""
+    seconds: float
+    """Time since the start of the training."""
+    success_rate: float
+    collision_rate: float
+    """Touched an obstacle, or ran into somebody."""
+    struck_rate: float
+    """Somebody ran into the robot."""
+    mean_return: float
+    mean_length: float
+    """Policy steps of an episode."""
 
 
 class TargetReached(Exception):  # noqa: N818 - ends a training, and isn't an error
@@ -33,43 +57,54 @@ class RolloutCallback(BaseCallback):
 class HeldOutScores(RolloutCallback):
     """Evaluates the deterministic policy on a batch of robots that isn't used for training.
 
-    It does so after the first rollout, then up to `evaluations` times, and when `finish` is called.
-    Scores are logged under eval/. A score that reaches the target raises TargetReached.
+    It does so after the first rollout, then every `interval` steps, and when `finish` is called.
+    Scores are logged under eval/ and written to learning_curve.csv. A score that reaches the target
+    raises TargetReached.
 
     Attributes:
-        score: The newest score; None before the first one.
-        curve: The learning curve.
-        name: Label of the success rate, for output.
+        batch: The robots.
+        curve: The scores. A training that goes on reads those before its start.
     """
 
     def __init__(
-        self,
-        batch: RobotVectorEnv,
-        curve: Curve,
-        interval: int,
-        *,
-        target: float | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, batch: RobotVectorEnv, out: Path, interval: int, target: float | None = None
     ) -> None:
         super().__init__()
-        self._batch = batch
+        self.batch = batch
+        self.curve: list[Score] = []
+        self._file = out / "learning_curve.csv"
         self._interval = interval
         self._target = 2.0 if target is None else target
-        self._clock = clock
+        self._started = time.monotonic()
 
-        self.curve = curve
-        self.score: Summary | None = None
-        self.name = held_out.success_label(batch)
+    @property
+    def score(self) -> Score | None:
+        """The newest score. None before the first evaluation."""
+        return self.curve[-1] if self.curve else None
 
     @property
     def is_reached(self) -> bool:
-        """Whether the newest score has reached the target."""
-        return self.score is not None and self.score.success_rate >= self._target
+        """Whether a score of the current policy has reached the target."""
+        if self.score is None or self.score.steps < self.num_timesteps:
+            return False
+        return self.score.success_rate >= self._target
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start of the training [s]."""
+        return time.monotonic() - self._started
+
+    def _on_training_start(self) -> None:
+        if self._file.exists():
+            rows = np.loadtxt(self._file, delimiter=",", skiprows=1, ndmin=2).tolist()
+            scores = [Score(int(steps), *figures) for steps, *figures in rows]
+            self.curve = [score for score in scores if score.steps <= self.num_timesteps]
+        if self.score:
+            self._started -= self.score.seconds
 
     def _on_rollout_end(self) -> None:
-        rows = self.curve.rows
-        last = rows[-1]["steps"] if rows else -self._interval
-        if self.num_timesteps // self._interval > last // self._interval:
+        last_steps = self.score.steps if self.score else -self._interval
+        if self.num_timesteps // self._interval > last_steps // self._interval:
             self._evaluate()
             if self.is_reached:
                 raise TargetReached
@@ -81,31 +116,74 @@ class HeldOutScores(RolloutCallback):
             self.logger.dump(self.num_timesteps)
 
     def _evaluate(self) -> None:
-        """Evaluate the policy and log the score."""
-        self.score = held_out.evaluate_held_out(self._batch, make_decider(self.model))
-        figures = held_out.curve_figures(self.score)
+        """Evaluate the policy, log the score and write the curve."""
+        figures = evaluate_held_out(self.model, self.batch)
         for name, value in figures.items():
             self.logger.record(f"eval/{name}", value)
-        seconds = round(self._clock(), 2)
-        self.curve.append({"steps": self.num_timesteps, "seconds": seconds, **figures})
+
+        # The last update has outdated a score of as many steps.
+        score = Score(self.num_timesteps, round(self.seconds, 2), **figures)
+        self.curve = [*(old for old in self.curve if old.steps < score.steps), score]
+        with reading.replace_file(self._file) as new, new.open("w", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerows([Score._fields, *self.curve])
 
 
-def make_decider(model: BaseAlgorithm) -> Decide:
-    """Return a function from observations (n, m) to deterministic actions (n, 2).
+def evaluate_held_out(model: BaseAlgorithm, batch: RobotVectorEnv) -> dict[str, float]:
+    """Run the first episode of every robot to its end, always from the same seeds.
 
-    A recurrent policy's state starts at the first call, and is kept for all robots from then on.
+    The batch needs a time limit. One episode per robot avoids a bias: the first n finished
+    episodes of a batch would contain too many quick ones.
+
+    Returns:
+        The figures of a `Score`.
     """
     space: Any = model.observation_space
-    state: tuple[NDArray[Any], ...] | None = None
+    observations, _ = batch.reset(seed=FIRST_HELD_OUT_SEED)
+    running = np.ones(batch.num_envs, np.bool_)
+    returns = np.zeros(batch.num_envs)
+    lengths = np.zeros(batch.num_envs, np.int64)
+    ends = []
+    state: Any = None
 
-    def decide(observations: NDArray[np.float32]) -> NDArray[Any]:
-        nonlocal state
-        starts = np.full(len(observations), state is None)
+    # Robots whose episode has ended drive on, but don't count.
+    while running.any():
         kept = np.ascontiguousarray(observations[:, : space.shape[0]])
+        starts = np.full(batch.num_envs, state is None)
         actions, state = model.predict(kept, state, starts, deterministic=True)
-        return actions
+        observations, rewards, terminated, truncated, info = batch.step(actions)
+        returns += rewards * running
+        lengths += running
+        ended = running & (terminated | truncated)
+        for robot in np.flatnonzero(ended):
+            last = {key: row[robot] for key, row in info.items() if not key.startswith("_")}
+            ends.append(describe_end(last))
+        running &= ~ended
 
-    return decide
+    return {
+        "success_rate": fmean(end["success"] for end in ends),
+        "collision_rate": fmean(end["collision"] for end in ends),
+        "struck_rate": fmean(end["person_contact"] == PERSON_HIT for end in ends),
+        "mean_return": fmean(returns),
+        "mean_length": fmean(lengths),
+    }
+
+
+def draw_curve(out: Path, curve: list[Score], title: str) -> None:
+    """Draw success, return and collisions over steps and over time as a picture in `out`."""
+    figure = Figure(figsize=(9.0, 8.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    plots = figure.subplots(len(DRAWN_COLUMNS), len(AXES), sharey="row", sharex="col")
+    for line, column in zip(plots, DRAWN_COLUMNS, strict=True):
+        for plot, (axis, label) in zip(line, AXES.items(), strict=True):
+            xs = [getattr(score, axis) for score in curve]
+            plot.plot(xs, [getattr(score, column) for score in curve], marker=".")
+            plot.set(xlabel=label, ylabel=column.replace("_", " "))
+            plot.grid(visible=True)
+            plot.label_outer()
+    with reading.replace_file(out / "learning_curve.png") as new:
+        figure.savefig(new, format="png", dpi=100)
 
 
 class CheckpointWriter(RolloutCallback):
@@ -117,12 +195,10 @@ class CheckpointWriter(RolloutCallback):
         self._seconds = seconds
         self._written = time.monotonic()
 
-    def _on_training_start(self) -> None:
-        self._written = time.monotonic()
-
     def _on_rollout_start(self) -> None:
-        is_due = time.monotonic() >= self._written + self._seconds
-        if is_due and self.n_calls:
+        if self.n_calls == 0:  # nothing is learnt yet
+            self._written = time.monotonic()
+        elif time.monotonic() >= self._written + self._seconds:
             folders.write_checkpoint(self.model, self._folder)
             self._written = time.monotonic()
 
@@ -147,53 +223,32 @@ class WholeCohorts(RolloutCallback):
             buffers.ep_info_buffer.clear()
 
 
-class TrainingProgress(BaseCallback):
-    """Shows a progress bar with env steps per second and the newest held-out success rate.
+class TrainingProgress(RolloutCallback):
+    """Updates a progress bar with env steps per second and the newest held-out success rate.
 
-    If the output isn't a terminal, it prints one line per evaluation instead. The speed is measured
-    from the second step on, because the first one compiles.
-
-    Args:
-        total: Number of steps at the end of the training.
-        scores: The held-out scores.
+    If the bar is disabled, it prints one line per evaluation instead. The speed leaves out the
+    first rollout, which compiles.
     """
 
-    def __init__(self, total: int, scores: HeldOutScores) -> None:
+    def __init__(self, bar: Progress, total: int, scores: HeldOutScores) -> None:
         super().__init__()
-        self._total = total
+        self._bar = bar
+        self._task = bar.add_task("", total=total)
         self._scores = scores
-        self._shown: Summary | None = None
-        self._progress = Progress(
-            BarColumn(),
-            TextColumn("{task.completed:,.0f} of {task.total:,.0f} steps"),
-            TextColumn(f"{{task.fields[speed]:,.0f}} steps/s, {scores.name} {{task.fields[rate]}}"),
-            TimeElapsedColumn(),
-        )
-        self._progress.disable = not self._progress.console.is_terminal
-        self._task = self._progress.add_task("train", total=total, speed=0.0, rate="-")
-        self._start: tuple[int, float] | None = None
-
-    def _on_training_start(self) -> None:
-        self._progress.start()
-
-    def _on_step(self) -> bool:
-        if self._start is None:
-            self._start = (self.num_timesteps, time.monotonic())
-        return True
+        self._shown: Score | None = None
 
     def _on_rollout_end(self) -> None:
-        steps, seconds = self._start or (0, 0.0)
-        speed = (self.num_timesteps - steps) / max(time.monotonic() - seconds, 1e-9)
+        self._bar.update(self._task, completed=self.num_timesteps)
+        task = self._bar.tasks[0]
         score = self._scores.score
-        rate = f"{score.success_rate:.1%}" if score else "-"
-        total = max(self.num_timesteps, self._total)
-        self._progress.update(
-            self._task, completed=self.num_timesteps, total=total, speed=speed, rate=rate
-        )
-        if self._progress.disable and score is not self._shown:
-            done = f"{self.num_timesteps:,} of {total:,} steps, {speed:,.0f} a second"
-            print(f"{done}, {self._scores.name} {rate}", flush=True)
-        self._shown = score
+        line = f"{task.completed:,.0f} of {task.total:,.0f} steps"
+        if task.speed:
+            line += f", {task.speed:,.0f} a second"
+        if score:
+            line += f", held-out success {score.success_rate:.1%}"
 
-    def _on_training_end(self) -> None:
-        self._progress.stop()
+        # Without a terminal: a line for each new score.
+        self._bar.update(self._task, description=line)
+        if self._bar.disable and score is not self._shown:
+            print(line, flush=True)
+        self._shown = score

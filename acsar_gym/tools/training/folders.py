@@ -1,4 +1,4 @@
-"""The folder of a training: its config.yml, its checkpoints, and what `--resume` takes from them.
+"""The folder of a training: its config.yml, its models, and what `--resume` takes from them.
 
 A folder holds one training. `config.yml` is created exclusively, so that two trainings never write
 to the same folder.
@@ -17,9 +17,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import acsar_gym
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError, explain_error
+from acsar_gym.resources import PACKAGE
 from acsar_gym.tools.evaluation import provenance
 from acsar_gym.tools.training.options import TrainingOptions
 from acsar_gym.tools.training.recipes import name_errors
@@ -53,23 +53,21 @@ def make_folder(out: Path | None, env: str) -> Path:
     Raises:
         ConfigError: `out` isn't empty, or a folder can't be made.
     """
-    parent = Path("runs") / env
     try:
         if out is not None:
             check_empty(out)
             out.mkdir(parents=True, exist_ok=True)
             return out
 
+        parent = Path("runs") / env
         parent.mkdir(parents=True, exist_ok=True)
         for number in itertools.count(1):
             with contextlib.suppress(FileExistsError):  # another training's
-                (parent / str(number)).mkdir()
-                break
+                (folder := parent / str(number)).mkdir()
+                return folder
     except OSError as error:
-        raise ConfigError(
-            f"--out {out or parent}: can't be made: {explain_error(error)}"
-        ) from error
-    return parent / str(number)
+        raise ConfigError(f"--out {out or parent}: {explain_error(error)}") from error
+    raise AssertionError
 
 
 def check_empty(out: Path) -> None:
@@ -85,16 +83,14 @@ def check_empty(out: Path) -> None:
 
 
 def begin_config(folder: Path, key: str, recipe: Mapping[str, Any], options: Any) -> None:
-    """Write config.yml of a new training; ConfigError if another training has the folder."""
+    """Write config.yml of a new training. ConfigError if another training has the folder."""
     facts = {
         "options": options.model_dump(mode="json"),
-        "command": training_command(options),
-        "versions": provenance.library_versions(*RECORDED_LIBRARIES),
-        "revision": git_revision(),
+        **describe_origin(options),
         "cores": usable_cores(),
         "machine": f"{platform.system()} {platform.machine()}",
     }
-
+    # Only one of two trainings that started at the same time can create the file.
     text = reading.format_yaml({key: dict(recipe), RUN_KEY: facts})
     try:
         with (folder / CONFIG_FILE).open("x", encoding="utf-8") as file:
@@ -103,34 +99,26 @@ def begin_config(folder: Path, key: str, recipe: Mapping[str, Any], options: Any
         raise ConfigError(f"--out {folder}: another training has it: name another") from error
 
 
-def read_config(folder: Path) -> dict[str, Any]:
-    """Read config.yml.
-
-    Raises:
-        ConfigError: It isn't one of a training.
-    """
-    path = folder / CONFIG_FILE
-    with name_errors(f"--resume {folder}"):
-        content = reading.parse_yaml(reading.decode_text(reading.read_file(path, MAX_CONFIG_BYTES)))
-        if not isinstance(content, dict) or not isinstance(content.get(RUN_KEY), dict):
-            raise ConfigError(f"{CONFIG_FILE} isn't of 'acsar-gym train'")
-    return content
+def describe_origin(options: TrainingOptions) -> dict[str, Any]:
+    """Return command, versions and revision of a training."""
+    return {
+        "command": training_command(options),
+        "versions": provenance.library_versions(*RECORDED_LIBRARIES),
+        "revision": git_revision(),
+    }
 
 
 def training_command(options: TrainingOptions) -> str:
     """Return the command of a training, without folders: only the names of files elsewhere."""
     words = ["acsar-gym", "train"]
-    for name, value in options.model_dump(
-        mode="json", exclude_defaults=True, exclude={"out", "address"}
-    ).items():
+    values = options.model_dump(mode="json", exclude_defaults=True, exclude={"out", "address"})
+    for name, value in values.items():
         flag = f"--{name.replace('_', '-')}"
+        items = value if isinstance(value, list) else [value]
+        texts = [Path(item).name if str(item).startswith("/") else str(item) for item in items]
         if isinstance(value, bool):
             words.append(flag if value else f"--no-{flag[2:]}")
-            continue
-
-        texts = [str(item) for item in (value if isinstance(value, list) else [value])]
-        texts = [Path(text).name if Path(text).is_absolute() else text for text in texts]
-        if name == "worlds":
+        elif name == "worlds":
             words += [word for text in texts for word in (flag, text)]
         else:
             words += [flag, *texts]
@@ -138,23 +126,20 @@ def training_command(options: TrainingOptions) -> str:
 
 
 def git_revision() -> str | None:
-    """Return the git revision of the package, with "-dirty" if files differ; None without git."""
-    folder = Path(acsar_gym.__file__).resolve().parent.parent
-    if not (folder / ".git").exists():
-        return None
-    command = ["git", "-C", str(folder), "describe", "--always", "--dirty", "--abbrev=40"]
-
+    """Return the git revision of the package, with "-dirty" if files differ. None without git."""
+    command = ["git", "-C", str(PACKAGE.parent), "describe", "--always", "--dirty", "--abbrev=40"]
     try:
-        result = subprocess.run(
+        done = subprocess.run(
             [*command, "--exclude=*"],
+            check=False,
             capture_output=True,
             text=True,
             timeout=GIT_TIMEOUT,
-            check=True,
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    return result.stdout.strip() or None
+    is_checkout = (PACKAGE.parent / ".git").exists()  # not a repository around an installation
+    return (is_checkout and done.stdout.strip()) or None
 
 
 # Models
@@ -163,33 +148,32 @@ def git_revision() -> str | None:
 def write_model(model: BaseAlgorithm, path: Path) -> None:
     """Write a model, and its replay buffer beside it, each of them whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    # The buffer first: a model without its buffer would go on with an empty one.
+    writer: Any = model
     if getattr(model, "replay_buffer", None) is not None:
-        saver: Any = model
         with reading.replace_file(path.with_name(BUFFER_FILE)) as new:
-            saver.save_replay_buffer(new)
+            writer.save_replay_buffer(new)
     with reading.replace_file(path) as new:
-        model.save(new)
+        writer.save(new)
 
 
 def write_checkpoint(model: BaseAlgorithm, folder: Path) -> None:
     """Write a checkpoint, named as by stable-baselines3, then remove older ones."""
     checkpoints = folder / CHECKPOINTS_FOLDER
     write_model(model, checkpoints / f"rl_model_{model.num_timesteps}_steps.zip")
-    for path in find_models(folder)[KEPT_CHECKPOINTS:]:
-        if path.parent == checkpoints:
-            path.unlink(missing_ok=True)
+    for path in find_models(checkpoints)[KEPT_CHECKPOINTS:]:
+        path.unlink(missing_ok=True)
 
 
 def find_models(folder: Path) -> list[Path]:
-    """List the complete models of a training, model.zip and checkpoints, the newest first."""
-    paths = [folder / MODEL_FILE, *(folder / CHECKPOINTS_FOLDER).glob("*.zip")]
-    steps = {path: count_steps(path) for path in paths}
-    complete = [path for path in paths if steps[path] >= 0]
-    return sorted(complete, key=lambda path: steps[path], reverse=True)
+    """List the complete models in a folder and its checkpoints, the newest first."""
+    steps = {path: count_steps(path) for path in folder.rglob("*.zip")}
+    complete = [path for path in steps if steps[path] >= 0]
+    return sorted(complete, key=steps.__getitem__, reverse=True)
 
 
 def count_steps(path: Path) -> int:
-    """Return the steps of a model; -1 if its zip isn't complete. Runs no code."""
+    """Return the steps of a model. -1 if its zip isn't complete. Runs no code."""
     try:
         with zipfile.ZipFile(path) as archive:
             return int(json.loads(archive.read("data"))["num_timesteps"])
@@ -201,7 +185,7 @@ def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOpti
     """Find out with what a training goes on.
 
     Args:
-        options: What the user gave.
+        options: The user's options.
         folder: Folder of the training.
 
     Returns:
@@ -212,21 +196,28 @@ def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOpti
     """
     if options.out is not None and options.out.resolve() != folder.resolve():
         raise ConfigError(f"--out {options.out}: {folder} goes on in its own folder: leave it out")
-    recorded = read_config(folder)[RUN_KEY].get("options")
-    with name_errors(folder / CONFIG_FILE):
-        first_options = TrainingOptions.model_validate(recorded)
+    config = folder / CONFIG_FILE
+    with name_errors(f"--resume {folder}"):
+        text = reading.decode_text(reading.read_file(config, MAX_CONFIG_BYTES))
+        run = (reading.parse_yaml(text) or {}).get(RUN_KEY)
+        if not isinstance(run, dict):
+            raise ConfigError(f"{CONFIG_FILE} isn't of 'acsar-gym train'")
+        first_options = TrainingOptions.model_validate(run.get("options"))
+        models = find_models(folder)
+        if not models:
+            raise ConfigError("has no complete model yet: start a new training")
+
+    # Whatever would make it another training is refused.
     changes = options.model_dump(exclude_defaults=True, exclude={"out", "resume", "trust"})
     for name, value in changes.items():
-        if name not in CHANGEABLE_OPTIONS and value != getattr(first_options, name):
+        first_value = getattr(first_options, name)
+        if name not in CHANGEABLE_OPTIONS and value != first_value:
             flag = f"--{name.replace('_', '-')}"
             raise ConfigError(
-                f"{flag} {value}: {folder} is of a training with {getattr(first_options, name)}: "
-                f"leave {flag} out, or start a new training"
+                f"{flag} {value}: {folder} is of a training with {first_value}: leave {flag} out, "
+                "or start a new training"
             )
 
-    models = find_models(folder)
-    if not models:
-        raise ConfigError(f"--resume {folder}: has no complete model yet: start a new training")
     fixed = dict.fromkeys(("gamma", "learning_rate", "net"))  # config.yml contains them
-    fixed |= {"out": folder, "conf_file": folder / CONFIG_FILE, "trust": options.trust}
+    fixed |= {"out": folder, "conf_file": config, "trust": options.trust}
     return first_options.model_copy(update=changes | fixed), models[0]

@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import FlattenExtractor
 from stable_baselines3.common.type_aliases import Schedule
 
 from acsar_gym.errors import ConfigError
@@ -17,91 +18,100 @@ from acsar_gym.tools.training.recipes import import_classes
 
 
 class MirrorPolicy(ActorCriticPolicy):
-    """PPO's actor and critic, whose outputs are means over an observation and its mirror image.
+    """PPO's actor and critic, equivariant under the mirror image left to right.
 
     A mirrored observation gets the same linear velocity and value, and the opposite angular
-    velocity, so that what is learnt on the left holds on the right. The layers are those of
-    stable-baselines3.
+    velocity, so that what is learnt on the left holds on the right. Every hidden layer has weights
+    for the even and for the odd part of its input, (x + mirrored x) / 2 and (x - mirrored x) / 2.
 
     Args:
         *args: As for ActorCriticPolicy.
         odd: Indices of the numbers that change their sign in the mirror.
         reversed_at: First index and length of the groups whose order the mirror reverses.
-        **kwargs: As for ActorCriticPolicy; classes may be names such as "torch.nn.ReLU".
+        **kwargs: As for ActorCriticPolicy. Classes may be names such as "torch.nn.ReLU".
     """
 
     def __init__(
         self,
         *args: Any,
         odd: Sequence[int] = (),
-        reversed_at: Sequence[tuple[int, int]] = (),
+        reversed_at: Sequence[Sequence[int]] = (),
         **kwargs: Any,
     ) -> None:
         self._mirror: dict[str, Any] = {"odd": [*odd], "reversed_at": [*reversed_at]}
-        super().__init__(*args, **import_classes(kwargs))
+        features = {
+            "features_extractor_class": _BothImages,
+            "features_extractor_kwargs": self._mirror,
+        }
+        super().__init__(*args, **import_classes(kwargs) | features)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return super()._get_constructor_parameters() | self._mirror
 
+    def _build_mlp_extractor(self) -> None:
+        """Make the hidden layers of stable-baselines3, then replace each by a `_MirrorLayer`."""
+        super()._build_mlp_extractor()
+        features: Any = self.features_extractor
+        for layers in (self.mlp_extractor.policy_net, self.mlp_extractor.value_net):
+            for place, layer in enumerate(layers):
+                if isinstance(layer, torch.nn.Linear):
+                    all_units = range(layer.in_features)
+                    even = all_units if place else features.even
+                    odd = all_units if place else features.odd
+                    layers[place] = _MirrorLayer(even, odd, layer.out_features)
+
     def _build(self, lr_schedule: Schedule) -> None:
-        """Build the layers, then run them on both images; the weights stay the optimizer's."""
         super()._build(lr_schedule)
-        order, signs = find_image(self.features_dim, **self._mirror)
-        self.mlp_extractor = _OnBothImages(self.mlp_extractor, order, signs)  # type: ignore[assignment]
+        # Only the outputs are means. Their weights stay those of the optimizer.
         self.action_net = _Mean(self.action_net, [1.0, -1.0])
         self.value_net = _Mean(self.value_net, [1.0])  # type: ignore[assignment]
 
 
-def find_image(
-    width: int, odd: Sequence[int], reversed_at: Sequence[Sequence[int]]
-) -> tuple[list[int], list[float]]:
-    """Return the order and the signs of the numbers of a mirrored observation.
+class _BothImages(FlattenExtractor):
+    """Maps observations (batch, n) to themselves and their mirror images, (batch, 2, n)."""
 
-    Raises:
-        ConfigError: A number is named twice, or isn't one of the observation.
-    """
-    groups = [list(range(first, first + count)) for first, count in reversed_at]
-    named = [*odd, *(place for group in groups for place in group)]
-    if len(set(named)) < len(named) or not set(named) <= set(range(width)):
-        raise ConfigError(
-            f"MirrorPolicy: odd = {odd}, reversed_at = {reversed_at}: must be different ones of "
-            f"{width} numbers"
-        )
-    order = list(range(width))
-    for group in groups:
-        order[group[0] : group[-1] + 1] = reversed(group)
-    return order, [-1.0 if place in odd else 1.0 for place in range(width)]
+    def __init__(self, space: Any, odd: list[int], reversed_at: list[Sequence[int]]) -> None:
+        super().__init__(space)
+        width = self.features_dim
+        groups = [range(first, first + count) for first, count in reversed_at]
+        mirrored = [*odd, *(place for group in groups for place in group)]
+        if len(set(mirrored)) < len(mirrored) or not set(mirrored) <= set(range(width)):
+            raise ConfigError(
+                f"MirrorPolicy: odd = {odd}, reversed_at = {reversed_at}: must be different ones "
+                f"of {width} numbers"
+            )
+
+        order = list(range(width))
+        for group in groups:
+            order[group.start : group.stop] = reversed(group)
+        self.order = torch.nn.Buffer(torch.tensor(order))
+        self.signs = torch.nn.Buffer(torch.ones(width))
+        self.signs[odd] = -1.0
+
+        # A pair has a mean and a difference, which need only one place each.
+        places = range(width)
+        self.even = [place for place in places if place <= order[place] and place not in odd]
+        self.odd = [place for place in places if place < order[place] or place in odd]
+
+    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+        features = self.flatten(observations)
+        return torch.stack((features, features[:, self.order] * self.signs), dim=1)
 
 
-class _OnBothImages(torch.nn.Module):
-    """SB3's MlpExtractor, whose results for an observation and its image are side by side."""
+class _MirrorLayer(torch.nn.Module):
+    """Maps units and their mirror images, (batch, 2, n), to those of the next layer."""
 
-    def __init__(self, layers: Any, order: list[int], signs: list[float]) -> None:
+    def __init__(self, even: Sequence[int], odd: Sequence[int], after: int) -> None:
         super().__init__()
-        self.layers = layers
-        self.latent_dim_pi = layers.latent_dim_pi
-        self.latent_dim_vf = layers.latent_dim_vf
-        self.order: torch.Tensor
-        self.signs: torch.Tensor
-        self.register_buffer("order", torch.tensor(order))
-        self.register_buffer("signs", torch.tensor(signs))
+        self.even_units = torch.nn.Buffer(torch.tensor(even))
+        self.odd_units = torch.nn.Buffer(torch.tensor(odd, dtype=torch.int64))
+        self.even = torch.nn.Linear(len(even), after)
+        self.odd = torch.nn.Linear(len(odd), after, bias=False)
 
-    def forward(self, features: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return self.forward_actor(features), self.forward_critic(features)
-
-    def forward_actor(self, features: torch.Tensor) -> torch.Tensor:
-        """Return the actor's units, (batch, 2, n)."""
-        latent: torch.Tensor = self.layers.forward_actor(self._both(features))
-        return latent
-
-    def forward_critic(self, features: torch.Tensor) -> torch.Tensor:
-        """Return the critic's units, (batch, 2, n)."""
-        latent: torch.Tensor = self.layers.forward_critic(self._both(features))
-        return latent
-
-    def _both(self, features: torch.Tensor) -> torch.Tensor:
-        image = features[:, self.order] * self.signs
-        return torch.stack((features, image), dim=1)
+    def forward(self, units: torch.Tensor) -> torch.Tensor:
+        even = self.even(0.5 * (units[:, 0] + units[:, 1])[:, self.even_units])
+        odd = self.odd(0.5 * (units[:, 0] - units[:, 1])[:, self.odd_units])
+        return torch.stack((even + odd, even - odd), dim=1)
 
 
 class _Mean(torch.nn.Module):
@@ -110,8 +120,7 @@ class _Mean(torch.nn.Module):
     def __init__(self, layer: torch.nn.Module, signs: list[float]) -> None:
         super().__init__()
         self.layer = layer
-        self.signs: torch.Tensor
-        self.register_buffer("signs", torch.tensor(signs))
+        self.signs = torch.nn.Buffer(torch.tensor(signs))
 
     def forward(self, units: torch.Tensor) -> torch.Tensor:
         results = self.layer(units)

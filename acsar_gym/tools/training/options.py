@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import tyro
 from pydantic import Field, model_validator
 
 from acsar_gym.config.section import Section, Share
-from acsar_gym.errors import ConfigError, suggest_name
+from acsar_gym.errors import ConfigError
 
 ALGORITHMS = {
     "ppo": ("stable_baselines3", "PPO"),
@@ -18,9 +18,8 @@ ALGORITHMS = {
     "ppo_lstm": ("sb3_contrib", "RecurrentPPO"),
 }
 """Module and class of each algorithm, by RL Zoo's names."""
-TORCH_DEVICES = ("cpu", "cuda")
 FIRST_HELD_OUT_SEED = 2**32
-"""First seed of held-out episodes; seeds of a training are smaller."""
+"""First seed of held-out episodes. Seeds of a training are smaller."""
 
 
 def parse_count(text: str) -> int:
@@ -47,52 +46,52 @@ class TrainingOptions(Section):
     env: Annotated[str, tyro.conf.arg(metavar="NAME|ID")] = "point_goal"
     """point_goal, path_follow, obstacle_goal, barn, crowd, dyna_barn, or an id as in
     mine.module:mine/Task-v0."""
-    algo: Annotated[str, tyro.conf.arg(metavar="ppo|sac|tqc|ppo_lstm")] = "ppo"
+    algo: Literal["ppo", "sac", "tqc", "ppo_lstm"] = "ppo"
     """Algorithm, by RL Zoo's names."""
     conf_file: Path | None = None
-    """Recipe file, or the config.yml of an earlier training; default: agents/recipes/ALGO.yml."""
+    """Recipe file, or the config.yml of an earlier training. Default: agents/recipes/ALGO.yml."""
     steps: Annotated[int | None, COUNT, Field(ge=1, le=10**10)] = None
-    """Env steps to train, such as 1e6, at most 10 billion; default: the recipe's."""
+    """Env steps to train, such as 1e6, at most 10 billion. Default: the recipe's."""
     target: Share | None = None
-    """End when this share of 512 held-out episodes succeeds, such as 0.97; default: never."""
+    """End when this share of 512 held-out episodes succeeds, such as 0.97. Default: never."""
     out: Path | None = None
-    """New or empty folder for the policy, checkpoints and logs; default: runs/ENV/1, 2, ..."""
+    """New or empty folder for the policy, checkpoints and logs. Default: runs/ENV/1, 2, ..."""
     robots: Annotated[int | None, COUNT, Field(ge=1, le=16_384)] = None
-    """Robots stepped together, at most 16,384; default: the recipe's."""
+    """Robots stepped together, at most 16,384. Default: the recipe's."""
     seed: Annotated[int, Field(ge=0, lt=FIRST_HELD_OUT_SEED)] = 0
     """Seed of everything random, 0 to 2^32 - 1."""
     seeds: Annotated[str | None, tyro.conf.arg(metavar="0-4|1,5,9")] = None
     """Train these seeds instead of one, each in a folder of its own, and compare them."""
     workers: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """With --seeds: trainings at a time; default: one, or with --address one for each CPU."""
+    """With --seeds: trainings at a time. Default: one, or with --address one for each CPU."""
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT|auto|local")] = None
     """With --seeds: Ray cluster to train on, whose machines share the folder."""
-    device: Annotated[str, tyro.conf.arg(metavar="cpu|cuda")] = "cpu"
-    """Where the networks are trained; the robots are simulated on the CPU."""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """Where the networks are trained. The robots are simulated on the CPU."""
     threads: int | None = None
-    """Cores to use; default: as many as are free when the training starts."""
+    """Cores to use. Default: as many as are free when the training starts."""
     worlds: Annotated[
         tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND|PATH")
     ] = ()
-    """Generator, file or folder of worlds, instead of the env's own; repeat it for worlds of
-    several, as in --worlds clutter:train --worlds barn:train."""
+    """Generator, file or folder of worlds, instead of the env's own. Repeat it for several, as
+    in --worlds clutter:train --worlds barn:train."""
     robot: str | None = None
-    """Preset, config file or drawn robot; or a fleet, such as drawn:train."""
+    """Preset, config file or drawn robot, or a fleet, such as drawn:train."""
     randomize: bool = True
     """Randomize the robots' physics, within what was measured (`measured` in the robot's file) and
     default widths for the rest."""
     gamma: Share | None = None
-    """Discount factor, 0 to 1; default: the recipe's."""
+    """Discount factor, 0 to 1. Default: the recipe's."""
     learning_rate: Share | None = None
-    """Learning rate of Adam, up to 1; default: the recipe's."""
+    """Learning rate of Adam, up to 1. Default: the recipe's."""
     net: tuple[Annotated[int, Field(ge=1, le=4096)], ...] | None = None
-    """Widths of the hidden layers, such as 64 64; default: the recipe's."""
+    """Widths of the hidden layers, such as 64 64. Default: the recipe's."""
     progress: bool = True
     """Show a progress bar."""
     checkpoint_seconds: Annotated[float, Field(ge=0, le=86_400)] = 60.0
     """Time between two checkpoints [s]."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|model.zip")] = None
-    """Folder of a training to go on with, at its newest file; or a model.zip to train on in a new
+    """Folder of a training to go on with, at its newest file, or a model.zip to train on in a new
     training, with the hyperparameters in it. Needs --trust."""
     trust: bool = False
     """Allow the zips of --resume to run code in them: only zips from people you trust."""
@@ -100,13 +99,8 @@ class TrainingOptions(Section):
     """Only compile everything and generate the worlds, which the first training else waits for."""
 
     @model_validator(mode="after")
-    def _check_names(self) -> Self:
-        """Check the algorithm, the device, and what only several seeds have."""
-        if self.algo not in ALGORITHMS:
-            raise ConfigError(f"--algo {self.algo}: unknown{suggest_name(self.algo, ALGORITHMS)}")
-        if self.device not in TORCH_DEVICES:
-            near = suggest_name(self.device, TORCH_DEVICES)
-            raise ConfigError(f"--device {self.device}: unknown{near}")
+    def _check_seeds(self) -> Self:
+        """Check the options that only several seeds have."""
         if self.seeds is None and (self.workers, self.address) != (None, None):
             raise ConfigError("--workers and --address: train several seeds: add --seeds")
         if self.seeds is not None and self.resume is not None:

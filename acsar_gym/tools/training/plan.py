@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import gymnasium
@@ -15,15 +14,18 @@ from acsar_gym.config.fleet import make_fleet
 from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.physics import randomization
-from acsar_gym.tools.training import held_out
 from acsar_gym.tools.training.options import TrainingOptions
-from acsar_gym.tools.training.recipes import Recipe, load_algorithm, read_recipe
+from acsar_gym.tools.training.recipes import Recipe, read_recipe
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.vector.threads import ROBOTS_PER_THREAD, check_threads, usable_cores
-from acsar_gym.worlds.sets import place_worlds
+from acsar_gym.worlds import registry
+from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.sets import name_sources
 
-RANDOMIZATION_KEY = "randomization"
-"""Argument of an env that only the robots of the training get."""
+HELD_OUT_ROBOTS = 64
+"""Robots in an evaluation during training. Each runs one episode."""
+TARGET_ROBOTS = 512
+"""Robots in an evaluation that decides whether a target is reached."""
 MAX_EVALUATIONS = 16
 MIN_STEPS_BETWEEN = 100_000
 """Least env steps between two held-out evaluations, which take up to 5 % of the time."""
@@ -46,19 +48,21 @@ class TrainingPlan:
     episode_steps: int
     """Time limit of an episode [steps]."""
     threads: int
+    robots: tuple[RobotConfig, ...]
+    """The robot, or those of a fleet."""
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
-        """Derive the settings of a training; writes nothing."""
+        """Derive the settings of a training. Writes nothing."""
         env_id = ids.find_id(options.env)
-        bare_id = ids.strip_module(env_id)
+        package, _, bare_id = env_id.rpartition(":")
         limit = gymnasium.spec(bare_id).max_episode_steps
         if limit is None:
             raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")
         if options.worlds and bare_id == "acsar_gym/PointGoal-v0":
             raise ConfigError("--worlds: point_goal has none")
 
-        package = env_id.rpartition(":")[0]
+        # Options take precedence over the recipe.
         recipe = read_recipe(options.algo, bare_id, options.conf_file, package).with_changes(
             n_timesteps=options.steps,
             n_envs=options.robots,
@@ -70,23 +74,13 @@ class TrainingPlan:
             threads = measure_free_cores()
         else:
             threads = check_threads("--threads", options.threads)
-        return cls(options, env_id, recipe, episode_steps=limit, threads=threads)
-
-    @property
-    def short_name(self) -> str:
-        """Name of the env in the names of folders."""
-        return self.options.env.rpartition("/")[2]
-
-    @cached_property
-    def robots(self) -> tuple[RobotConfig, ...]:
-        """The robot, or those of a fleet."""
-        return make_fleet(self.options.robot).robots
+        robots = make_fleet(options.robot).robots
+        return cls(options, env_id, recipe, episode_steps=limit, threads=threads, robots=robots)
 
     @property
     def randomization(self) -> Any:
         """What every episode of the training draws: the recipe's ranges if it has any."""
-        ranges = self.recipe.env_kwargs.get(RANDOMIZATION_KEY)
-        return self.options.randomize and (True if ranges is None else ranges)
+        return self.options.randomize and self.recipe.env_kwargs.get("randomization", True)
 
     @property
     def evaluation_interval(self) -> int:
@@ -97,74 +91,78 @@ class TrainingPlan:
 
     @property
     def update_hint(self) -> str:
-        """How few updates there will be, and which --robots gives more; empty for enough."""
+        """How few updates of the policy PPO will make. Empty if they are enough."""
         steps = self.recipe.steps
-        robots = self.recipe.robots
-        rollout = self.recipe.steps_per_update(load_algorithm(self.options.algo))
-        if rollout is None or (updates := math.ceil(steps / (rollout * robots))) >= FEW_UPDATES:
-            return ""
-
-        fewer = max(1, steps // (rollout * 2 * FEW_UPDATES))
-        more_updates = math.ceil(steps / (rollout * fewer))
-        if more_updates <= updates:
+        rollout = self.recipe.values.get("n_steps", 1)
+        updates = math.ceil(steps / rollout / self.recipe.robots)
+        if updates >= FEW_UPDATES or steps / rollout < FEW_UPDATES:  # not even with one robot
             return ""
         return (
-            f"{steps:,} steps of {robots} robots are {updates} update{'s' * (updates > 1)} of the "
-            f"policy, few to learn from: with --robots {fewer} there are {more_updates}"
+            f"{steps:,} steps of {self.recipe.robots} robots are only {updates} updates of the "
+            "policy: choose fewer --robots"
         )
 
     def make_training_batch(self) -> RobotVectorEnv:
         """Make the batch of robots to train on."""
-        robots = self.recipe.robots
-        return ids.make_vec(
-            self.env_id,
-            robots,
-            robot=self.options.robot,
-            autoreset_mode="SameStep",
-            threads=self._count_threads(robots),
-            randomization=self.randomization,
-            **self._arguments,
-        )
+        changes = {"autoreset_mode": "SameStep", "randomization": self.randomization}
+        return self._make_batch(self.recipe.robots, self.options.robot, **changes)
 
     def make_held_out_batch(self, training: RobotVectorEnv) -> RobotVectorEnv:
         """Make the batch to evaluate on: no randomization, other worlds, and other drawn robots."""
-        has_target = self.options.target is not None
-        robots = held_out.TARGET_ROBOTS if has_target else held_out.HELD_OUT_ROBOTS
-        arguments = self._arguments
-        worlds = held_out.choose_held_out_worlds(training.pool, robots)
-        if worlds is not None:
-            arguments["worlds"] = worlds
+        # Few robots leave the rate too uncertain to end a training.
+        robots = HELD_OUT_ROBOTS if self.options.target is None else TARGET_ROBOTS
         robot = self.options.robot
         if drawn.PREFIX in (robot or ""):
             robot = "drawn:validation"
-        threads = self._count_threads(robots) if has_target else 1
-        return ids.make_vec(self.env_id, robots, robot=robot, threads=threads, **arguments)
+        worlds = choose_held_out_worlds(training.pool, robots)
+        return self._make_batch(robots, robot, **({"worlds": worlds} if worlds else {}))
 
-    def _count_threads(self, robots: int) -> int:
-        return max(1, min(self.threads, robots // ROBOTS_PER_THREAD))
-
-    @property
-    def _arguments(self) -> dict[str, Any]:
-        """Arguments of the env: the recipe's, and the user's worlds."""
-        arguments = dict(self.recipe.env_kwargs)
-        arguments.pop(RANDOMIZATION_KEY, None)
+    def _make_batch(self, count: int, robot: str | None, **changes: Any) -> RobotVectorEnv:
+        """Make a batch with the arguments of the recipe, the user's worlds, and `changes`."""
+        arguments = {**self.recipe.env_kwargs, "randomization": None}
         if self.options.worlds:
-            arguments["worlds"] = place_worlds(self.options.worlds, None, None)
-        return arguments
+            arguments["worlds"] = name_sources(self.options.worlds)
+        # A thread with few robots waits longer than it works.
+        threads = max(1, min(self.threads, count // ROBOTS_PER_THREAD))
+        arguments |= {"robot": robot, "threads": threads, **changes}
+        return ids.make_vec(self.env_id, count, **arguments)
 
-    def describe(self, worlds: str) -> Iterator[str]:
+    def describe(self, training: RobotVectorEnv, held_out: RobotVectorEnv) -> Iterator[str]:
         """Yield lines about the training, before it starts."""
+        worlds = "training on an open floor"
+        if training.pool is not None:
+            worlds = f"training in {training.pool}, evaluated in {held_out.pool}"
         cores = "1 thread" if self.threads == 1 else f"{self.threads} threads"
         ranges = self.options.randomize and randomization.describe_ranges(self.robots[0])
         yield f"{worlds}; {cores}, seed {self.options.seed}" + (f"; {ranges}" if ranges else "")
-        if self.options.resume is None and (hint := self.update_hint):
-            yield hint
+        if self.options.resume is None and self.update_hint:
+            yield self.update_hint
         if misfit := self.robots[0].misfit:
             yield f"{self.options.robot}: {misfit}"
 
 
+def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> list[str] | None:
+    """Choose held-out worlds.
+
+    Returns:
+        For each set of generated worlds a set of the same generator without any of its worlds:
+        those of the validation split, or those behind the set's if it has some of them. None for
+        files and an open floor, which have no others, so that only the seeds differ.
+    """
+    if pool is None or not pool.generated:
+        return None
+    names = []
+    count = robots // len(pool.sets)
+    for group in pool.sets:
+        split = registry.split_numbers(group.kind, registry.VALIDATION)
+        overlaps = group.numbers[0] <= split[-1] and group.numbers[-1] >= split[0]
+        first = group.numbers[-1] + 1 if overlaps else split[0]
+        names.append(f"{group.generator}:{first}-{first + count - 1}")
+    return names
+
+
 def measure_free_cores() -> int:
-    """Measure how many cores other programs leave free, at least 1; takes PROBE_TIME seconds."""
+    """Measure how many cores other programs leave free, at least 1. Takes PROBE_TIME seconds."""
     with require_extra("training", "train"):
         import psutil  # noqa: PLC0415 - optional
     idle = psutil.cpu_times_percent(interval=PROBE_TIME).idle / 100.0

@@ -1,7 +1,7 @@
 """Recipes: hyperparameters by env in YAML, one file for each algorithm, which RL Zoo reads as well.
 
 The keys are stable-baselines3's own, and `n_timesteps`, `n_envs`, `env_kwargs` and
-`vec_env_wrapper` as in RL Zoo. A recipe runs no code: of classes only those are imported that
+`vec_env_wrapper` as in RL Zoo. A recipe runs no code: only those classes are imported that
 `CLASSES` and `CLASS_MODULES` list, or that are in the package of the env.
 """
 
@@ -19,14 +19,14 @@ from acsar_gym import reading
 from acsar_gym.errors import ConfigError, format_error, require_extra, show_value, suggest_name
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training.options import ALGORITHMS, parse_count
-from acsar_gym.worlds import registry
+from acsar_gym.worlds.registry import BUILT_IN_KINDS
 
 if TYPE_CHECKING:  # imports torch
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv
 
 BATCH_WRAPPER = "acsar_gym.tools.training.wrappers.batch"
-"""The wrapper that makes a batch for RL Zoo; `train` makes it itself."""
+"""The wrapper that makes a batch for RL Zoo. `train` makes the batch itself."""
 CLASSES = (
     "acsar_gym.tools.training.networks.MirrorPolicy",
     "acsar_gym.tools.training.wrappers.without_rays",
@@ -35,7 +35,6 @@ CLASS_MODULES = ("torch.nn", "torch.optim")
 MAX_RECIPE_BYTES = 1_000_000
 DEFAULT_KEY = "default"
 """Key of the hyperparameters for envs that have none of their own."""
-SCHEDULE_KEYS = ("learning_rate", "clip_range", "clip_range_vf")
 OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
 """Arguments of an env that `train` sets by its own options."""
 OWN_KEYS = ("n_timesteps", "n_envs", "policy", "env_kwargs", "vec_env_wrapper")
@@ -76,14 +75,8 @@ class Recipe:
     @property
     def env_kwargs(self) -> dict[str, Any]:
         """Arguments of the env, without the link."""
-        return {k: v for k, v in (self.values.get("env_kwargs") or {}).items() if k != "link"}
-
-    @property
-    def wrappers(self) -> list[str]:
-        """Wrappers of the batch, in their order."""
-        names = self.values.get("vec_env_wrapper") or []
-        names = names if isinstance(names, list) else [names]
-        return [str(name) for name in names if name != BATCH_WRAPPER]
+        kwargs = self.values.get("env_kwargs") or {}
+        return {name: value for name, value in kwargs.items() if name != "link"}
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -91,47 +84,68 @@ class Recipe:
         return {name: value for name, value in self.values.items() if name not in OWN_KEYS}
 
     def with_changes(self, **changes: Any) -> Recipe:
-        """Return a recipe with some hyperparameters changed; None leaves one as it is."""
+        """Return a recipe with some hyperparameters changed. None changes nothing."""
         changes = {name: value for name, value in changes.items() if value is not None}
-        net = changes.pop("net", None)
-        if net is not None:
-            kwargs = self.values.get("policy_kwargs") or {}
-            changes["policy_kwargs"] = {**kwargs, "net_arch": list(net)}
+        if "net" in changes:
+            net = {"net_arch": list(changes.pop("net"))}
+            changes["policy_kwargs"] = (self.values.get("policy_kwargs") or {}) | net
         return replace(self, values=self.values | changes)
 
     def build_arguments(self) -> dict[str, Any]:
         """Return the arguments of the algorithm, with schedules and classes for their names."""
-        built = dict(self.arguments)
-        with name_errors(self.place):
-            for name in SCHEDULE_KEYS:
-                if isinstance(built.get(name), str):
-                    built[name] = parse_schedule(name, built[name])
-            if isinstance(built.get("train_freq"), list):
-                built["train_freq"] = tuple(built["train_freq"])
-            built["policy_kwargs"] = import_classes(built.get("policy_kwargs") or {}, self.package)
-            policy = {"policy": str(self.values.get("policy", "MlpPolicy"))}
-            built |= import_classes(policy, self.package)
+        arguments = {
+            name: parse_schedule(value) if str(value).startswith("lin_") else value
+            for name, value in self.arguments.items()
+        }
 
-        steps: Any = built.get("n_steps")
-        size: Any = built.get("batch_size")
-        if isinstance(steps, int) and isinstance(size, int):
-            built["batch_size"] = min(size, steps * self.robots)
-        return built
+        # Only these may name classes.
+        policy = {"policy": self.values.get("policy", "MlpPolicy")}
+        arguments |= import_classes(policy, self.package)
+        arguments["policy_kwargs"] = import_classes(
+            self.values.get("policy_kwargs") or {}, self.package
+        )
 
-    def steps_per_update(self, algorithm: type[BaseAlgorithm]) -> int | None:
-        """Return the env steps of one robot between two updates; None if it counts episodes."""
-        defaults = inspect.signature(algorithm.__init__).parameters
-        name = "n_steps" if "n_epochs" in defaults else "train_freq"
-        value = self.arguments.get(name, defaults[name].default)
-        number, unit = value if isinstance(value, list | tuple) else (value, "step")
-        return int(number) if unit == "step" else None
+        # What YAML and the number of robots don't allow otherwise.
+        if isinstance(arguments.get("train_freq"), list):
+            arguments["train_freq"] = tuple(arguments["train_freq"])
+        rollout = arguments.get("n_steps", 0) * self.robots
+        if rollout and "batch_size" in arguments:
+            arguments["batch_size"] = min(arguments["batch_size"], rollout)
+        return arguments
 
     def wrap_batch(self, batch: VecEnv) -> VecEnv:
         """Return the batch in the recipe's wrappers."""
-        with name_errors(self.place):
-            for name in self.wrappers:
-                batch = import_class("vec_env_wrapper", name, self.package)(batch)
+        for wrapper in self._import_wrappers():
+            batch = wrapper(batch)
         return batch
+
+    def _import_wrappers(self) -> list[Any]:
+        names = self.values.get("vec_env_wrapper") or []
+        names = names if isinstance(names, list) else [names]
+        return [
+            import_class("vec_env_wrapper", str(name), self.package)
+            for name in names
+            if name != BATCH_WRAPPER
+        ]
+
+    def check(self, algo: str) -> None:
+        """Check keys and values, and import the classes that are allowed.
+
+        Raises:
+            ConfigError: The algorithm has no such argument, or a value can't be used.
+        """
+        signature = inspect.signature(load_algorithm(algo).__init__).parameters
+        names = [*OWN_KEYS, *(name for name in signature if name not in TRAIN_ARGUMENTS)]
+        for name in self.values:
+            if name not in names:
+                near = suggest_name(name, names)
+                raise ConfigError(f"{show_value(name)}: no argument of {algo}{near}")
+        for name, value in self.env_kwargs.items():
+            if name in OPTION_ARGUMENTS:
+                raise ConfigError(f"env_kwargs: {name}: leave it out: train's options set it")
+            _check_modules(f"env_kwargs: {name}", value, self.package)
+        self._import_wrappers()
+        self.build_arguments()
 
 
 def read_recipe(algo: str, env_id: str, file: Path | None = None, package: str = "") -> Recipe:
@@ -140,80 +154,49 @@ def read_recipe(algo: str, env_id: str, file: Path | None = None, package: str =
     Args:
         algo: Name of the algorithm.
         env_id: Id of the env, without a module.
-        file: The file; default: agents/recipes/ALGO.yml.
+        file: The file. Default: agents/recipes/ALGO.yml.
         package: Package of the env, whose classes the file may name.
 
     Raises:
-        ConfigError: The file can't be used; the message names file and key.
+        ConfigError: The file can't be used. The message names file and key.
     """
     path = file or AGENTS / "recipes" / f"{algo}.yml"
-    text = reading.decode_text(reading.read_file(path, MAX_RECIPE_BYTES, ConfigError))
     with name_errors(path):
+        text = reading.decode_text(reading.read_content(path, MAX_RECIPE_BYTES))
         entries = reading.parse_yaml(text)
-        keys = [
-            key for key in (env_id, DEFAULT_KEY) if isinstance(entries, dict) and key in entries
-        ]
-        if not keys:
+        if not isinstance(entries, dict) or not {env_id, DEFAULT_KEY} & set(entries):
             raise ConfigError(f"has no {show_value(env_id)} and no '{DEFAULT_KEY}'")
-    with name_errors(path, keys[0]):
-        values = entries[keys[0]]
+
+    # Numbers are read first, because they are needed to check the rest.
+    key = env_id if env_id in entries else DEFAULT_KEY
+    with name_errors(path, key):
+        values = entries[key]
         if not isinstance(values, dict):
             raise ConfigError("must be hyperparameters by name")
-        return _check_recipe(algo, values, f"{path}: {keys[0]}", package)
-
-
-def _check_recipe(algo: str, values: dict[str, Any], place: str, package: str) -> Recipe:
-    """Check the names of a recipe before anything is imported."""
-    signature = inspect.signature(load_algorithm(algo).__init__).parameters
-    names = [*OWN_KEYS, *(name for name in signature if name not in TRAIN_ARGUMENTS)]
-    for name in values:
-        if name not in names:
-            raise ConfigError(
-                f"{show_value(name)}: no argument of {algo}{suggest_name(name, names)}"
-            )
-
-    counts = {
-        "n_timesteps": _read_count("n_timesteps", values.get("n_timesteps")),
-        "n_envs": _read_count("n_envs", values.get("n_envs", 1)),
-    }
-    recipe = Recipe(place, values | counts, package)
-    for name in recipe.wrappers:
-        check_class("vec_env_wrapper", name, package)
-    import_classes(recipe.arguments.get("policy_kwargs") or {}, package)
-    if "." in (policy := str(values.get("policy"))):
-        check_class("policy", policy, package)
-    for name, value in recipe.env_kwargs.items():
-        if name in OPTION_ARGUMENTS:
-            raise ConfigError(f"env_kwargs: {name}: leave it out: train's options set it")
-        _check_modules(name, value, package)
+        counts = {
+            "n_timesteps": _read_count("n_timesteps", values.get("n_timesteps")),
+            "n_envs": _read_count("n_envs", values.get("n_envs", 1)),
+        }
+        recipe = Recipe(f"{path}: {key}", values | counts, package)
+        recipe.check(algo)
     return recipe
 
 
 def _read_count(name: str, value: Any) -> int:
-    """Read a whole number; YAML reads 1e6 as a text."""
-    try:
-        count = parse_count(str(value))
-    except (ValueError, OverflowError):
-        count = 0
-    if count < 1:
-        raise ConfigError(f"{name} = {show_value(value)}: must be a whole number of at least 1")
-    return count
+    """Read a whole number. YAML reads 1e6 as a float."""
+    with contextlib.suppress(ValueError, OverflowError):
+        if (count := parse_count(str(value))) >= 1:
+            return count
+    raise ConfigError(f"{name} = {show_value(value)}: must be a whole number of at least 1")
 
 
-def parse_schedule(name: str, text: str) -> Any:
-    """Return a schedule that falls linearly to zero, of a text such as "lin_0.001"."""
-    from stable_baselines3.common.utils import LinearSchedule  # noqa: PLC0415 - imports torch
+def import_class(key: str, name: str, package: str = "") -> Any:
+    """Import a class that a recipe may name, also from the current folder.
 
-    try:
-        return LinearSchedule(float(text.removeprefix("lin_")), 0.0, 1.0)
-    except ValueError as error:
-        problem = f"{show_value(text)}: must be a number, or like lin_0.001"
-        raise ConfigError(f"{name}: {problem}") from error
-
-
-def check_class(key: str, name: str, package: str = "") -> None:
-    """Check that a recipe may name a class. Imports nothing."""
-    module = name.rpartition(".")[0]
+    Raises:
+        ConfigError: A recipe may not name it, or it can't be imported.
+    """
+    module, _, kind = name.rpartition(".")
     is_own = package and module.partition(".")[0] == package.partition(".")[0]
     if not (name in CLASSES or module in CLASS_MODULES or is_own):
         raise ConfigError(
@@ -221,11 +204,6 @@ def check_class(key: str, name: str, package: str = "") -> None:
             f"{', '.join((*CLASSES, *CLASS_MODULES))}, and in the package of --env"
         )
 
-
-def import_class(key: str, name: str, package: str = "") -> Any:
-    """Import a class that `check_class` accepts; also from the current folder."""
-    check_class(key, name, package)
-    module, _, kind = name.rpartition(".")
     try:
         with reading.find_modules_here():
             return getattr(importlib.import_module(module), kind)
@@ -241,6 +219,13 @@ def import_classes(values: Mapping[str, Any], package: str = "") -> dict[str, An
     }
 
 
+def parse_schedule(text: str) -> Any:
+    """Return a schedule that falls linearly to zero, of a text such as "lin_0.001"."""
+    from stable_baselines3.common.utils import LinearSchedule  # noqa: PLC0415 - imports torch
+
+    return LinearSchedule(float(text.removeprefix("lin_")), 0.0, 1.0)
+
+
 def _check_modules(key: str, value: Any, package: str) -> None:
     """Refuse what would import another package than the env's, such as "evil:Sonar"."""
     if isinstance(value, dict):
@@ -248,23 +233,20 @@ def _check_modules(key: str, value: Any, package: str) -> None:
     if isinstance(value, list):
         for item in value:
             _check_modules(key, item, package)
+        return
 
-    if isinstance(value, str):
-        module = value.partition(":")[0] if ":" in value else ""
-        if key == "worlds":  # may also be a path, or a generator of ours: "clutter:0-99"
-            generator = registry.parse_name(value)
-            module = "" if generator is None else generator.module
-        if module and module.partition(".")[0] != package.partition(".")[0]:
-            raise ConfigError(
-                f"env_kwargs: {key}: {show_value(value)}: a recipe imports nothing but the package "
-                "of --env"
-            )
+    module, colon, _ = str(value).partition(":")  # or a generator: "clutter:0-99", "clutter+6:test"
+    allowed = (package.partition(".")[0], *BUILT_IN_KINDS)
+    if colon and module.partition("+")[0].partition(".")[0] not in allowed:
+        raise ConfigError(
+            f"{key}: {show_value(value)}: a recipe imports nothing but the package of --env"
+        )
 
 
 @contextlib.contextmanager
 def name_errors(*names: object) -> Iterator[None]:
-    """Put file and keys in front of every ConfigError that is raised in this context."""
+    """Put file and keys in front of the errors that are raised in this context."""
     try:
         yield
-    except ConfigError as error:
+    except (ConfigError, ValueError) as error:
         raise ConfigError(": ".join([*map(str, names), str(error)])) from error

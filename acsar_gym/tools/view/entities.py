@@ -92,6 +92,7 @@ class EpisodeLogger:
 
     def log(self, part: Episode) -> None:
         """Write a part, which has some of the rows of an episode's tables."""
+        # Rerun keeps static data for all times, so they are sent once.
         if not self._has_begun:
             self._has_begun = True
             self._log_styles()
@@ -145,6 +146,7 @@ class EpisodeLogger:
         goal = read_numbers(part, "goal", 2)
         if goal is not None:
             self._draw("goal", [complex(*goal) + GOAL_RADIUS * CIRCLE])
+
         world = find_world(self._header, self._config, part)
         if world is not None:
             rings = [x + 1j * y + radius * CIRCLE for x, y, radius in world.circles]
@@ -152,6 +154,7 @@ class EpisodeLogger:
             self._draw("world/obstacles", [_to_odometry(part, line) for line in (*rings, *walls)])
             if world.path is not None:
                 self._draw("world/route", [_to_odometry(part, world.path @ (1.0, 1j))])
+
         named = [f"{name} {part.info[name]}" for name in ("seed", "world") if name in part.info]
         self.log_lines([(0.0, f"begins: {', '.join(named)}" if named else "begins", "INFO")])
 
@@ -161,10 +164,12 @@ class EpisodeLogger:
         times = columns["stamp"] - part.start
         for entity, name in SCALARS.items():
             self._send_scalars(entity, times, columns[name])
+        # What was sent is decoded from the bytes, as the board did.
         stamps, speeds = part.wire.commands(self._config)
         for wheel, sent in zip(WHEELS, speeds.T, strict=True):
             self._send_scalars(f"wheels/{wheel}/sent", stamps - part.start, sent)
 
+        # Pose and paths.
         points = columns["x"] + 1j * columns["y"]
         turns = np.zeros((len(times), 4))
         turns[:, 2] = np.sin(columns["theta"] / 2.0)
@@ -176,6 +181,7 @@ class EpisodeLogger:
         true_points = _to_odometry(part, exchanges["pose"][:, :2] @ (1.0, 1j))
         self._log_path("truth", exchanges["stamp"] - part.start, true_points)
 
+        # The safety layer holds its state until it changes.
         changes = np.flatnonzero(self._changes("reason", part.reasons))
         reasons = [REASONS.get(number, UNKNOWN_REASON) for number in part.reasons[changes].tolist()]
         words = [word for word, _, _ in reasons]
@@ -200,6 +206,7 @@ class EpisodeLogger:
         stamps, ranges, _ = part.scans
         if ranges.shape[1] != spec.rays or not len(part.stamps):
             return
+        # Scans come between ticks.
         x, y = (np.interp(stamps, part.stamps, column) for column in part.poses.T[:2])
         headings = np.interp(stamps, part.stamps, np.unwrap(part.poses[:, 2]))
         mount = complex(config.lidar_x_offset, config.lidar_y_offset)
@@ -207,6 +214,7 @@ class EpisodeLogger:
         hits = (x + 1j * y)[:, None] + rays * np.exp(1j * headings)[:, None]
         is_hit = np.isfinite(ranges) & (ranges < config.lidar.max_range) & (ranges > 0.0)
 
+        # Points of one scan a second stay.
         times = stamps - part.start
         is_new = self._changes("second", np.floor(times)) != 0.0
         for entity, rows in (("scan", is_new | True), ("seen", is_new)):
@@ -319,11 +327,13 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, part: Episode) ->
 
 def make_blueprint(part: Episode, *, is_live: bool) -> rrb.Blueprint:
     """Lay the views out: from above, wheels, command and why, log."""
+    # Trails show all that was before the time of the cursor.
     past = rrb.VisibleTimeRanges(
         timeline=TIMELINE,
         start=rrb.TimeRangeBoundary.infinite(),
         end=rrb.TimeRangeBoundary.cursor_relative(),
     )
+    # The camera looks down on start and goal.
     x, y = np.divide(read_numbers(part, "goal", 2) or (0.0, 0.0), 2.0).tolist()
     height = 2.4 * max(math.hypot(x, y), 1.5) + 2.0
     eye = rrb.EyeControls3D(position=(x, y - 0.01, height), look_target=(x, y, 0.0))
@@ -333,6 +343,7 @@ def make_blueprint(part: Episode, *, is_live: bool) -> rrb.Blueprint:
         overrides={f"{ROOT}/{name}": [past] for name in TRAILS},
         eye_controls=eye,
     )
+
     plots = [
         rrb.TimeSeriesView(name=f"{entity} [{unit}]", contents=f"/{ROOT}/{entity}/**")
         for entity, unit in (
@@ -347,6 +358,7 @@ def make_blueprint(part: Episode, *, is_live: bool) -> rrb.Blueprint:
     ]
     why = rrb.StateTimelineView(name="Safety layer", contents=f"/{ROOT}/safety")
     log = rrb.TextLogView(name="Log", contents=f"/{ROOT}/log")
+
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(above, log, row_shares=[3, 1]), rrb.Grid(*plots, why, grid_columns=2)

@@ -35,10 +35,10 @@ Connect = Callable[[rr.RecordingStream], None]
 
 
 class RerunSink(Sink):
-    """Writes episodes into recordings of Rerun, one for each.
+    """Writes each episode into a recording of Rerun.
 
     Args:
-        config: The robot.
+        config: Robot configuration.
         header: Header of the recording.
         connect: Called with each recording of Rerun.
 
@@ -123,6 +123,7 @@ def write_recording(recording: Recording, connect: Connect) -> int:
 def save_recording(path: Path, target: Path) -> int:
     """Write a recording to an .rrd file. Returns the number of its episodes."""
     recording = read(path)
+    # Each episode is a recording of Rerun in its own file. Its program joins them.
     with tempfile.TemporaryDirectory(prefix="acsar-view-", dir=target.parent) as folder:
         files: list[str] = []
 
@@ -190,6 +191,7 @@ def start_viewer() -> Viewer:
     off = [program, "analytics", "disable"]
     subprocess.run(off, check=False, env=environment, capture_output=True)
 
+    # A new session: Ctrl-C in the terminal ends the drive, not the viewer.
     command = [program, "--bind", HOST, "--port", str(port), "--expect-data-soon"]
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(

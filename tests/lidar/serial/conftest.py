@@ -23,7 +23,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """`start("--spin-up", "1", ...)` starts a sensor of the test's own."""
+    """`start("--spin-up", "1", ...)` starts a sensor for this test."""
     running: list[Emulated] = []
 
     def begin(*arguments: str) -> Emulated:
@@ -37,7 +37,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 @pytest.fixture
 def make() -> Iterator[Open]:
-    """`make(emulated, "ld06", timeout=0.5)` is a LiDAR; all of them are closed with the test."""
+    """`make(emulated, "ld06", timeout=0.5)` is a LiDAR, which is closed at the end of the test."""
     made: list[SerialLidar] = []
 
     def begin(device: Emulated | str, model: str = "rplidar", timeout: float = 20.0) -> SerialLidar:

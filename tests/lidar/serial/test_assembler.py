@@ -51,13 +51,13 @@ def turns_of(model: str, data: bytes, size: int = 10_000) -> list[Revolution]:
 
 @every_maker
 @pytest.mark.parametrize("size", [1, 64, 10_000])
-def test_turns_are_whole_whatever_the_pieces(model: str, size: int) -> None:
+def test_assembler_makes_whole_turns_of_any_pieces(model: str, size: int) -> None:
     turns = turns_of(model, stream(model), size)
     assert [len(turn.bearings) for turn in turns] == [MAKERS[model].options["samples"]] * 3
     assert all(map(shows_the_room, turns))
 
 
-def test_bearings_are_turned_by_the_yaw_of_the_lidar() -> None:
+def test_assembler_turns_bearings_by_the_yaw_of_the_lidar() -> None:
     straight, turned = (
         RevolutionAssembler(find_drivers()["ld06"](), yaw).feed(stream("ld06"), 1.0)[0]
         for yaw in (0.0, 1.5)
@@ -68,7 +68,7 @@ def test_bearings_are_turned_by_the_yaw_of_the_lidar() -> None:
 
 
 @every_maker
-def test_a_turn_that_lost_bytes_is_dropped(model: str) -> None:
+def test_assembler_drops_a_turn_that_lost_bytes(model: str) -> None:
     data = stream(model)
     complete = len(turns_of(model, data)[0].bearings)
     rng = np.random.default_rng(0)
@@ -82,7 +82,7 @@ def test_a_turn_that_lost_bytes_is_dropped(model: str) -> None:
 
 
 @every_maker
-def test_what_is_no_measurement_is_refused(model: str) -> None:
+def test_assembler_refuses_what_is_no_measurement(model: str) -> None:
     rng = np.random.default_rng(0)
     noise = rng.integers(0, 256, 50_000, np.uint8).tobytes()
     assert not turns_of(model, noise)
@@ -92,7 +92,7 @@ def test_what_is_no_measurement_is_refused(model: str) -> None:
 
 
 @every_maker
-def test_where_nothing_was_measured_bearings_are_still_those_of_the_head(model: str) -> None:
+def test_assembler_interpolates_bearings_of_failed_measurements(model: str) -> None:
     def look(bearings: Floats, ages: Floats) -> Floats:
         return np.where(np.abs(bearings % 6.28) < 2.0, np.inf, room(bearings))
 
@@ -132,7 +132,7 @@ def reads(twin: LidarTwin, seconds: float, jitter: float, baud: float) -> list[t
     ("wobble", "jitter", "slow"),
     [(0.0, 0.0, False), (0.0, 0.02, True), (0.25, 0.0, True), (0.25, 0.02, False)],
 )
-def test_each_measurement_has_the_time_at_which_it_was_made(
+def test_assembler_times_each_measurement(
     model: str, wobble: float, jitter: float, slow: bool
 ) -> None:
     """Whether its bytes come one after the other, as through a slow wire, or all at once."""

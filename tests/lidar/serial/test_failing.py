@@ -22,7 +22,7 @@ pytestmark = pytest.mark.usefixtures("deadline")
 
 
 def error_of(action: Callable[[], object]) -> str:
-    """The LidarError's message; one line, and the device is closed again."""
+    """The LidarError's message, which is one line. The device is closed again."""
     with no_leak(), pytest.raises(LidarError) as caught:
         action()
     message = str(caught.value)
@@ -46,7 +46,7 @@ def scans_again(lidar: SerialLidar) -> bool:
         return False
 
 
-def test_a_frozen_device_is_an_error_and_comes_back(
+def test_serial_lidar_comes_back_after_a_freeze(
     start: Start, make: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     emulated = start()
@@ -69,12 +69,12 @@ def test_a_frozen_device_is_an_error_and_comes_back(
 
 @pytest.fixture
 def plug(tmp_path: Path) -> Path:
-    """A name of the device's own; the terminal's may be another one's once it is unplugged."""
+    """A name of this device: the terminal's name may be given to another once it is unplugged."""
     return tmp_path / "rplidar"
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_unplugged_is_an_error_at_once_and_plugged_in_it_is_opened_anew(
+def test_serial_lidar_is_opened_again_after_it_was_unplugged(
     start: Start, make: Open, plug: Path, model: str
 ) -> None:
     emulated = start("--model", model)
@@ -103,7 +103,7 @@ def test_unplugged_is_an_error_at_once_and_plugged_in_it_is_opened_anew(
     ],
     ids=["silent", "garbage", "baud", "stuck", "broken"],
 )
-def test_what_does_not_measure_says_why(
+def test_serial_lidar_explains_why_it_does_not_measure(
     start: Start,
     make: Open,
     monkeypatch: pytest.MonkeyPatch,
@@ -122,7 +122,7 @@ def test_what_does_not_measure_says_why(
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_lost_bytes_cost_turns_and_nothing_else(start: Start, make: Open, model: str) -> None:
+def test_serial_lidar_drops_turns_that_lost_bytes(start: Start, make: Open, model: str) -> None:
     lidar = make(start("--model", model, "--lose", "9001"), model)
     reset(lidar)
     stamp = lidar.scan().stamp
@@ -132,7 +132,7 @@ def test_lost_bytes_cost_turns_and_nothing_else(start: Start, make: Open, model:
         stamp = turn.stamp
 
 
-def test_what_cannot_be_opened_is_named(make: Open, tmp_path: Path) -> None:
+def test_serial_lidar_names_what_cannot_be_opened(make: Open, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     for name, message in (("gone", "no such device"), ("file", "isn't a serial port")):

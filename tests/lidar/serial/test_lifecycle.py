@@ -47,9 +47,7 @@ print("scanning", flush=True)
 
 
 @pytest.mark.parametrize("model", MAKERS)
-def test_closing_stops_scan_and_motor_and_twice_is_once(
-    start: Start, make: Open, model: str
-) -> None:
+def test_close_stops_scan_and_motor(start: Start, make: Open, model: str) -> None:
     emulated = start("--model", model)
     lidar = make(emulated, model)
     lidar.close()
@@ -64,7 +62,7 @@ def test_closing_stops_scan_and_motor_and_twice_is_once(
         lidar.scan()
 
 
-def test_opened_closed_or_forgotten_it_leaves_nothing_behind(sensor: Emulated) -> None:
+def test_serial_lidar_leaves_nothing_behind(sensor: Emulated) -> None:
     threads = threading.active_count()
     with no_leak():
         lidar = open_serial(sensor)
@@ -78,14 +76,16 @@ def test_opened_closed_or_forgotten_it_leaves_nothing_behind(sensor: Emulated) -
 
 
 @pytest.mark.parametrize("ending", ["os.kill(os.getpid(), signal.SIGTERM)", "pass"])
-def test_a_process_that_ends_stops_the_motor(sensor: Emulated, ending: str) -> None:
+def test_serial_lidar_stops_its_motor_at_the_end_of_a_process(
+    sensor: Emulated, ending: str
+) -> None:
     with program(PROGRAM + ending, sensor.device) as process:
         assert first_line(process) == "scanning"
         process.communicate(timeout=TIMEOUT)
     wait_until(lambda: state(sensor) == STANDSTILL, "a stop")
 
 
-def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make: Open) -> None:
+def test_serial_lidar_opens_a_device_that_still_scans(sensor: Emulated, make: Open) -> None:
     with program(PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)", sensor.device) as process:
         process.communicate(timeout=TIMEOUT)
     assert state(sensor)[0]
@@ -93,7 +93,7 @@ def test_after_a_crash_it_is_opened_while_it_still_scans(sensor: Emulated, make:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_turn_is_stamped_when_it_ended(start: Start, make: Open, model: str) -> None:
+def test_serial_lidar_stamps_a_turn_when_it_ended(start: Start, make: Open, model: str) -> None:
     emulated = start(*f"--model {model} --rate 5.5 --wobble 0.1".split())
     lidar = make(emulated, model)
     reset(lidar)

@@ -60,7 +60,7 @@ def test_run_plan_continues_an_interrupted_benchmark(
 ) -> None:
     """Finished cells aren't driven again, and the result is that of one run."""
     wanted = make_plan(conditions=("nominal", "feedback-30", "dropped-2"))
-    whole = runner.run_plan(wanted, runner.open_folder(wanted, tmp_path / "whole", None))
+    expected = runner.run_plan(wanted, runner.open_folder(wanted, tmp_path / "whole", None))
     drive = runner.drive_cell
     jobs = []
 
@@ -79,8 +79,8 @@ def test_run_plan_continues_an_interrupted_benchmark(
     with (folder / runner.CELLS_FILE).open("a", encoding="utf-8") as file:
         file.write('\n{"agent": "turn_dr')  # a full disk cut it
     assert runner.open_folder(wanted, None, folder) == folder
-    assert describe(runner.run_plan(wanted, folder)) == describe(whole)
-    assert describe(runner.run_plan(wanted, folder)) == describe(whole)
+    assert describe(runner.run_plan(wanted, folder)) == describe(expected)
+    assert describe(runner.run_plan(wanted, folder)) == describe(expected)
     assert len(jobs) == 4
 
 
@@ -107,14 +107,6 @@ def test_open_folder_refuses_another_plan(
         runner.open_folder(make_plan(**changes), None, folder)
 
 
-def test_run_plan_reports_agents_that_cannot_drive_there(tmp_path: Path) -> None:
-    wanted = make_plan("pure_pursuit", "turn_drive", count=1)
-    refused, driven = runner.run_plan(wanted, tmp_path).values()
-    assert "needs a path" in refused.refused
-    assert not refused.episodes
-    assert len(driven.episodes) == 1
-
-
 @pytest.mark.parametrize("name", list(plan.CONDITIONS))
 def test_drive_cell_drives_under_every_condition(name: str) -> None:
     (cell,) = make_plan(conditions=(name,), count=1).cells()
@@ -125,9 +117,9 @@ def test_drive_cell_drives_under_every_condition(name: str) -> None:
 def test_choose_agents_without_names_leaves_out_what_does_not_fit() -> None:
     """Agents for movers drive if the robot senses them, agents that know the truth if named."""
     sets = choose_sets([], ["clutter/acsar", "crowd/acsar"])
-    found = {(agent.name, agent.env[10:-3]) for agent in choose(sets=sets)}
-    assert {("dwa", "ObstacleGoal"), ("dwa", "Crowd"), ("orca", "Crowd")} < found
-    assert not {("orca", "ObstacleGoal"), ("orca_true", "Crowd")} & found
+    pairs = {(agent.name, agent.env[10:-3]) for agent in choose(sets=sets)}
+    assert {("dwa", "ObstacleGoal"), ("dwa", "Crowd"), ("orca", "Crowd")} < pairs
+    assert not {("orca", "ObstacleGoal"), ("orca_true", "Crowd")} & pairs
     kinds = {agent.name: agent.kind for agent in choose("orca_true", "dwa")}
     assert kinds == {"orca_true": "privileged", "dwa": "baseline"}
 
@@ -160,16 +152,15 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return name
 
 
-def test_choose_agents_takes_policies_of_a_user(module: str, tmp_path: Path) -> None:
+def test_choose_agents_takes_policies_of_a_user(module: str) -> None:
     sets = [SET, find_sets("acsar_gym/PathFollow-v0")[0]]
     Path("mine.onnx").write_bytes((AGENTS / "policies" / "point_goal.onnx").read_bytes())
-    found = choose(f"{module}:Planner", f"{module}.py:act", "turn_drive", sets=sets)
+    agents = choose(f"{module}:Planner", f"{module}.py:act", "turn_drive", sets=sets)
     names = [name for name in ("Planner", module, "turn_drive") for _ in sets]
-    assert [agent.name for agent in found] == names
-    assert [agent.env for agent in found] == [scenes.env for scenes in sets] * 3
-    wanted = make_plan("mine.onnx", f"{module}:Own", f"{module}.py:act", "packaged")
-    results = runner.run_plan(wanted, tmp_path)
-    assert [len(result.episodes) for result in results.values()] == [2, 2, 2, 2]
+    assert [agent.name for agent in agents] == names
+    assert [agent.env for agent in agents] == [scenes.env for scenes in sets] * 3
+    named = choose("mine.onnx", f"{module}:Own")
+    assert [(agent.name, agent.env) for agent in named] == [("mine", ID), ("Own", ID)]
 
 
 def test_choose_agents_takes_the_seeds_of_a_folder(tmp_path: Path) -> None:
@@ -177,8 +168,8 @@ def test_choose_agents_takes_the_seeds_of_a_folder(tmp_path: Path) -> None:
         folder = tmp_path / "mine" / f"seed-{seed}"
         folder.mkdir(parents=True)
         shutil.copy(AGENTS / "policies" / "point_goal.onnx", folder / "policy.onnx")
-    found = choose("mine", trained=tmp_path)
-    assert [(agent.name, agent.training_seed) for agent in found] == [("mine", 1), ("mine", 2)]
+    agents = choose("mine", trained=tmp_path)
+    assert [(agent.name, agent.training_seed) for agent in agents] == [("mine", 1), ("mine", 2)]
 
 
 def test_open_folder_hashes_what_an_agent_imports(module: str, tmp_path: Path) -> None:
@@ -216,9 +207,12 @@ def test_choose_agents_refuses_what_cannot_be_compared(
 
 
 def test_run_plan_gives_the_same_results_with_two_workers(module: str, tmp_path: Path) -> None:
-    """The same numbers, of a policy in a file, a planner and code of a user."""
-    wanted = make_plan("packaged", "turn_drive", f"{module}.py:act")
-    one = runner.run_plan(wanted, runner.open_folder(wanted, tmp_path / "one", None))
-    folder = runner.open_folder(wanted, tmp_path / "two", None)
-    two = runner.run_plan(wanted, folder, workers=2)
-    assert describe(one) == describe(two)
+    """The same numbers, of a policy in a file, planners and code of a user, or a refusal."""
+    wanted = make_plan("packaged", "turn_drive", f"{module}.py:act", "pure_pursuit")
+    folders = [runner.open_folder(wanted, tmp_path / name, None) for name in ("1", "2")]
+    results = [runner.run_plan(wanted, folders[n], workers=n + 1) for n in range(2)]
+    assert describe(results[0]) == describe(results[1])
+    *driven, refused = results[1].values()
+    assert [len(result.episodes) for result in driven] == [2, 2, 2]
+    assert "needs a path" in refused.refused
+    assert not refused.episodes

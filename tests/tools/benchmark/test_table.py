@@ -19,14 +19,11 @@ from acsar_gym.tools.benchmark.figures import Scoring, score_episode
 from acsar_gym.tools.benchmark.table import CellResult
 from acsar_gym.tools.evaluation import metrics
 from acsar_gym.tools.evaluation.episode import Episode
-from acsar_gym.tools.evaluation.report import format_figure
 
-GOOD = (0.9, 0.8, 0.95, 0.9)
-OTHER_SEED = (0.9, 0.85, 0.0, 0.9)
+SEED_SCORES = ((0.9, 0.8, 0.95, 0.9), (0.9, 0.85, 0.0, 0.9))
 BAD = (0.5, 0.0, 0.4, 0.0)
 CELLS = {
-    cell("ours", seed=0): driven(GOOD),
-    cell("ours", seed=1): driven(OTHER_SEED),
+    **{cell("ours", seed=seed): driven(scores) for seed, scores in enumerate(SEED_SCORES)},
     cell("floor", "baseline"): driven(BAD),
     cell("ours", seed=0, condition="dropped-5"): driven(BAD),
     cell("other", "baseline"): CellResult(refused="other: needs a LiDAR"),
@@ -38,70 +35,68 @@ def result() -> dict[str, Any]:
     return result_of(CELLS)
 
 
-def find_row(result: dict[str, Any], agent: str, condition: str = "nominal") -> dict[str, Any]:
-    (row,) = (
-        row for row in result["rows"] if (row["agent"], row["condition"]) == (agent, condition)
-    )
-    return dict(row)
+def find_row(result: dict[str, Any], agent: str) -> dict[str, Any]:
+    return next(dict(row) for row in result["rows"] if row["agent"] == agent)
 
 
 def test_make_result_joins_training_seeds(result: dict[str, Any]) -> None:
     ours = find_row(result, "ours")
-    scores = np.array([GOOD, OTHER_SEED])
     assert (ours["training_seeds"], ours["episodes"]) == ([0, 1], 8)
-    assert ours["success_rate"] == 7 / 8
-    assert ours["seed_success"] == [1.0, 0.75]
-    assert ours["score"] == pytest.approx(scores.mean())
+    assert (ours["success_rate"], ours["seed_success"]) == (7 / 8, [1.0, 0.75])
+    assert ours["score"] == pytest.approx(np.mean(SEED_SCORES))
     assert ours["intervals"]["success_rate"] == list(metrics.wilson_interval(7, 8))
-    assert ours["intervals"]["score"] == list(metrics.bootstrap_interval(scores))
+    assert ours["intervals"]["score"] == list(metrics.bootstrap_interval(SEED_SCORES))
     assert set(metrics.FIGURES) == set(ours["intervals"])
     assert report.list_refusals(result) == ["other: needs a LiDAR"]
 
 
 def test_bootstrap_interval_contains_the_spread_of_seeds() -> None:
-    """Two seeds of which one always succeeds, and the other never."""
-    apart = np.array([[1.0] * 50, [0.0] * 50])
-    assert metrics.bootstrap_interval(apart) == (0.0, 1.0)
-    low, high = metrics.bootstrap_interval(apart.T.reshape(1, -1))
+    """Two seeds, of which one always succeeds and the other never."""
+    scores = np.array([[1.0] * 50, [0.0] * 50])
+    assert metrics.bootstrap_interval(scores) == (0.0, 1.0)
+    low, high = metrics.bootstrap_interval(scores.reshape(1, -1))
     assert 0.3 < low < high < 0.7
     assert metrics.bootstrap_interval([[1.0, math.nan], [math.nan, math.nan]]) == (1.0, 1.0)
 
 
 def test_make_result_compares_with_the_best_baseline_of_each_figure(result: dict[str, Any]) -> None:
-    """One succeeds always but slowly, one is fast but fails once; a privileged agent is none."""
-    compared = result_of(
-        {
-            cell("ours"): driven((0.8, 0.8, 0.8, 0.0)),
-            cell("slow", "baseline"): driven((0.2, 0.2, 0.2, 0.2)),
-            cell("fast", "baseline"): driven((0.7, 0.7, 0.7, 0.0)),
-            cell("seer", "privileged"): driven((1.0, 1.0, 1.0, 1.0)),
-        }
-    )
-    differences = find_row(compared, "ours")["differences"]
-    assert differences["success"]["over"] == "slow"
-    assert differences["success"]["difference"] == -0.25
-    assert differences["score"]["over"] == "fast"
-    assert differences["score"]["difference"] == pytest.approx(0.075)
+    """A baseline is slow, another is fast but fails once. A privileged agent is none."""
+    agents = {
+        ("ours", "learned"): (0.8, 0.8, 0.8, 0.0),
+        ("slow", "baseline"): (0.2, 0.2, 0.2, 0.2),
+        ("fast", "baseline"): (0.7, 0.7, 0.7, 0.0),
+        ("seer", "privileged"): (1.0, 1.0, 1.0, 1.0),
+    }
+    compared = result_of({cell(*agent): driven(scores) for agent, scores in agents.items()})
+    assert [row["agent"] for row in compared["rows"]] == ["seer", "ours", "fast", "slow"]
+
+    score, success = find_row(compared, "ours")["differences"].values()
+    assert (success["over"], success["difference"]) == ("slow", -0.25)
+    assert (score["over"], score["difference"]) == ("fast", pytest.approx(0.075))
     assert find_row(compared, "fast")["differences"]["score"] is None
-    score = find_row(result, "ours")["differences"]["score"]
-    assert score["difference"] == pytest.approx(6.2 / 8 - 0.225)
+    seeds = find_row(result, "ours")["differences"]["score"]
+    assert seeds["difference"] == pytest.approx(6.2 / 8 - 0.225)
 
 
-def test_score_episode() -> None:
+@pytest.mark.parametrize(
+    ("name", "changes", "score"),
+    [
+        ("completion_time", {}, 0.5),  # 1 m in 4 s instead of 2 s
+        ("completion_time", {"ended": 2.0}, 1.0),
+        ("completion_time", {"shortest": 0.1}, 0.0),
+        ("completion_time", {"shortest": math.nan}, 1.0),
+        ("completion_time", {"success": False}, 0.0),
+        ("success", {}, 1.0),
+        ("cross_track", {"cross_track": 0.01}, 0.9),
+        ("cross_track", {"cross_track": 0.3}, 0.0),
+        ("laps", {"told": {"laps": 3.0}}, 3.0),
+        ("laps", {"told": {"laps": 3.0}, "success": False}, 0.0),
+    ],
+)
+def test_score_episode(name: str, changes: dict[str, Any], score: float) -> None:
     ended = Episode(success=True, collision=False, started=1.0, ended=5.0, shortest=1.15)
-    goal = Scoring("completion_time", 0.5, 0.15)
-    assert score_episode(ended, goal) == pytest.approx(0.5)  # 1 m in 4 s instead of 2 s
-    assert score_episode(replace(ended, ended=2.0), goal) == 1.0
-    assert score_episode(replace(ended, shortest=0.1), goal) == 0.0
-    assert score_episode(replace(ended, success=False), goal) == 0.0
-    assert score_episode(replace(ended, shortest=math.nan), goal) == 1.0
-    assert score_episode(ended, replace(goal, name="success")) == 1.0
-    follow = replace(goal, name="cross_track")
-    assert score_episode(replace(ended, cross_track=0.01), follow) == pytest.approx(0.9)
-    assert score_episode(replace(ended, cross_track=0.3), follow) == 0.0
-    reported = replace(ended, told={"laps": 3.0})
-    assert score_episode(reported, replace(goal, name="laps")) == 3.0
-    assert score_episode(replace(reported, success=False), replace(goal, name="laps")) == 0.0
+    scoring = Scoring(name, top_speed=0.5, tolerance=0.15)
+    assert score_episode(replace(ended, **changes), scoring) == pytest.approx(score)
 
 
 def test_result_table(result: dict[str, Any]) -> None:
@@ -115,21 +110,13 @@ def test_result_table(result: dict[str, Any]) -> None:
 
 
 def test_main_cells_have_collisions_with_people_if_somebody_moves(result: dict[str, Any]) -> None:
-    ends = [
-        episode(0, person_contact=0.0, closest_person=0.4, time_to_collision=2.0, intrusions=1.0),
-        episode(1, 0.0, person_contact=1.0, collision=True, closest_person=0.0),
-        episode(2, 0.0, person_contact=2.0, closest_person=0.0),
-        episode(3, person_contact=2.0, success=False, closest_person=0.2),
-    ]
-    ours = find_row(result_of({cell("ours"): CellResult(ends)}), "ours")
-    assert (ours["collision_rate"], ours["person_collision_rate"]) == (0.25, 0.25)
-    assert (ours["struck_rate"], ours["timeout_rate"]) == (0.5, 0.0)
-    assert ours["intrusion_rate"] == pytest.approx(15.0)  # once in 4 s, of the one that knows it
+    """0 is a result."""
     column = "ran into people [%]"
-    assert report.main_cells(ours)[column] == "25.0 (4.6 to 69.9)"
-    assert format_figure(ours, "closest_person") == "15.00 (0.00 to 30.00)"
-    nobody = find_row(result_of({cell("ours"): CellResult([*ends[:1], ends[3]])}), "ours")
-    assert report.main_cells(nobody)[column] == "0.0 (0.0 to 65.8)"
+    contacts = {"0.0 (0.0 to 65.8)": (0.0, 2.0), "50.0 (9.5 to 90.5)": (0.0, 1.0)}
+    for cells, pair in contacts.items():
+        episodes = [episode(number, person_contact=kind) for number, kind in enumerate(pair)]
+        row = find_row(result_of({cell("ours"): CellResult(episodes)}), "ours")
+        assert report.main_cells(row)[column] == cells
     assert not report.main_cells(find_row(result, "ours"))[column]
 
 

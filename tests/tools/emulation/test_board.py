@@ -39,7 +39,7 @@ def wait_for_log(emulator: Emulated, until: float) -> None:
     wait_until(lambda: any(e["t"] > until for e in emulator.events()[-1:]), "a log that goes on")
 
 
-def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -> None:
+def test_emulate_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -> None:
     assert stat.S_ISCHR(os.stat(own_emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
     wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
     assert own_emulator.poses()[0] == (0.0, 0.0, 0.0)
@@ -47,7 +47,7 @@ def test_it_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -
 
 
 @pytest.mark.parametrize("body", ["planar", "bullet"])
-def test_the_robot_stops_when_commands_stop(
+def test_emulate_stops_the_robot_when_commands_stop(
     body: str, config: RobotConfig, start_emulator: StartEmulator
 ) -> None:
     emulator = start_emulator("--body", body)
@@ -62,7 +62,7 @@ def test_the_robot_stops_when_commands_stop(
     link.close()
 
 
-def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated) -> None:
+def test_emulate_garbles_a_wrong_baud_rate_both_ways(own_emulator: Emulated) -> None:
     """The client knows nothing of this package."""
     port = os.open(own_emulator.device, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(port)
@@ -84,7 +84,7 @@ def test_a_wrong_baud_rate_garbles_both_directions(own_emulator: Emulated) -> No
     os.close(port)
 
 
-def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
+def test_emulate_does_not_replay_a_stall(emulator: Emulated) -> None:
     emulator.pause()
     time.sleep(2.0 * LONGEST_CATCH_UP)
     resumed = time.monotonic()
@@ -95,7 +95,7 @@ def test_time_lost_in_a_stall_is_not_replayed(emulator: Emulated) -> None:
     assert sum(e["lost"] for e in emulator.events() if "lost" in e) > LONGEST_CATCH_UP
 
 
-def test_a_duration_ends_it(tmp_path: Path) -> None:
+def test_emulate_ends_after_a_duration(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     done = cli("emulate", "--duration", "0.2", "--log", log)
     assert (done.returncode, done.stderr) == (0, "")
@@ -103,15 +103,13 @@ def test_a_duration_ends_it(tmp_path: Path) -> None:
     assert 1 <= log.read_text(encoding="ascii").count('"pose"') <= 41
 
 
-def test_a_log_that_cannot_be_written_is_one_line() -> None:
+def test_emulate_reports_a_log_that_cannot_be_written() -> None:
     done = cli("emulate", "--duration", "0.2", "--log", "/dev/full")
     assert done.returncode == 2
     assert done.stderr == "acsar-gym: /dev/full: can't be written: No space left on device\n"
 
 
-def test_an_emulator_that_cannot_start_leaves_nothing_open(
-    config: RobotConfig, tmp_path: Path
-) -> None:
+def test_emulator_leaves_nothing_open(config: RobotConfig, tmp_path: Path) -> None:
     (tmp_path / "kept").touch()
     log = tmp_path / "log.jsonl"
     with no_leak():
@@ -125,7 +123,7 @@ def test_an_emulator_that_cannot_start_leaves_nothing_open(
 
 
 @pytest.mark.parametrize("body", ["planar", "bullet"])
-def test_the_episode_of_movers_starts_with_the_first_bytes(
+def test_emulator_starts_movers_with_the_first_bytes(
     body: str, config: RobotConfig, tmp_path: Path
 ) -> None:
     """A person touches the robot 0.2 s after them, and the log contains who ran into whom."""

@@ -49,15 +49,13 @@ def read_soon(descriptor: int) -> bytes:
     return os.read(descriptor, 4096)
 
 
-def test_a_name_in_use_stays_with_its_device(cable: EmulatedCable, name: Path) -> None:
+def test_cable_keeps_a_name_in_use(cable: EmulatedCable, name: Path) -> None:
     with pytest.raises(ConfigError, match=r"usb-acsar: is the name of /dev/pts/\d+"):
         EmulatedCable(BAUD_RATE, name)
     assert str(name.readlink()) == cable.device
 
 
-def test_a_client_notices_the_pull_and_a_new_device_has_the_name(
-    cable: EmulatedCable, name: Path
-) -> None:
+def test_pull_and_plug_make_a_new_device_of_the_name(cable: EmulatedCable, name: Path) -> None:
     old_device = cable.device
     with client(old_device) as port:  # keeps the old name from being used again
         os.write(port, b"old")
@@ -77,7 +75,7 @@ def test_a_client_notices_the_pull_and_a_new_device_has_the_name(
 
 
 @pytest.mark.parametrize("rate", [57600, BAUD_RATE])
-def test_bytes_arrive_if_the_baud_rates_agree(rate: int, cable: EmulatedCable) -> None:
+def test_over_uart_needs_equal_baud_rates(rate: int, cable: EmulatedCable) -> None:
     assert cable.over_uart(LINE) == LINE
     with client(cable.device) as port:
         attributes = termios.tcgetattr(port)
@@ -96,9 +94,7 @@ def test_bytes_arrive_if_the_baud_rates_agree(rate: int, cable: EmulatedCable) -
         ("missing/name", "can't be a symbolic link: "),
     ],
 )
-def test_a_name_that_cannot_be_made_destroys_nothing(
-    kept: str, message: str, tmp_path: Path
-) -> None:
+def test_cable_destroys_no_file_of_its_name(kept: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with no_leak(), pytest.raises(ConfigError, match=message):
         EmulatedCable(BAUD_RATE, tmp_path / kept)
@@ -106,7 +102,7 @@ def test_a_name_that_cannot_be_made_destroys_nothing(
 
 
 @pytest.mark.usefixtures("deadline")
-def test_signals_move_the_cable(start_emulator: StartEmulator) -> None:
+def test_emulate_moves_the_cable_by_signals(start_emulator: StartEmulator) -> None:
     emulator = start_emulator()
     old_device = emulator.device
     with client(old_device) as port:
@@ -131,7 +127,7 @@ main()
 
 @pytest.mark.usefixtures("deadline")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
-def test_a_signal_ends_an_emulator_in_the_background(
+def test_emulate_ends_by_a_signal_in_the_background(
     number: signal.Signals, code: int, name: Path
 ) -> None:
     with program(IGNORING, "emulate", "--name", str(name)) as process:

@@ -32,7 +32,7 @@ def open_raw(device: str | None) -> int:
     return port
 
 
-def test_each_measurement_is_from_where_the_robot_was_at_its_time() -> None:
+def test_lidar_measures_from_where_the_robot_was() -> None:
     """Its pose is between the poses of the loops, which are centimetres off."""
     config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05)
     with Emulator(config, scene=Scene(world=ROOM), sees=True) as emulator:
@@ -71,7 +71,7 @@ def test_each_measurement_is_from_where_the_robot_was_at_its_time() -> None:
     assert errors(np.ceil(times / LOOP - 1e-9) * LOOP).max() > 0.01
 
 
-def test_measurements_meet_movers_where_they_were_at_their_time() -> None:
+def test_lidar_meets_movers_where_they_were() -> None:
     """The walker goes 15 cm in a control period, of 20 loops."""
     config = RobotConfig(lidar_x_offset=0.0, lidar_y_offset=0.0, control_rate=10.0)
     walker = walk([[1.0, -2.0], [1.0, 2.0]], 1.5, pauses=[0.1, 0.0])

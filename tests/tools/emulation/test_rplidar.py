@@ -39,14 +39,14 @@ def scanning(look: Look, **options: Any) -> RplidarTwin:
         ("00 5a a5 52", "a5 5a 03 00 00 00 06 00 00 00"),
     ],
 )
-def test_requests_are_answered_as_published(request_: str, answer: str) -> None:
+def test_receive_answers_as_published(request_: str, answer: str) -> None:
     data = bytes.fromhex(request_)
     assert RplidarTwin(nothing).receive(data) == bytes.fromhex(answer)
     twin = RplidarTwin(nothing)
     assert b"".join(twin.receive(bytes([byte])) for byte in data) == bytes.fromhex(answer)
 
 
-def test_a_measurement_is_five_bytes_as_published() -> None:
+def test_encode_makes_five_bytes_as_published() -> None:
     twin = scanning(lambda bearings, ages: np.ones(len(bearings)), rate=1.0, samples=4)
     assert twin.advance(1.0) == bytes.fromhex(
         "3e 01 2d a0 0f"  # 90 deg * 64 = 0x1680, and the check bit. 1000 mm * 4 = 0x0fa0
@@ -59,7 +59,7 @@ def test_a_measurement_is_five_bytes_as_published() -> None:
 @pytest.mark.parametrize(
     ("request_", "goes_on"), [(STOP, False), (b"\xa5\x50", False), (START_MOTOR, True)]
 )
-def test_any_request_except_to_the_motor_ends_a_scan(request_: bytes, goes_on: bool) -> None:
+def test_receive_ends_a_scan_except_for_the_motor(request_: bytes, goes_on: bool) -> None:
     twin = scanning(room)
     twin.receive(request_)
     assert bool(twin.advance(0.1)) is goes_on
@@ -81,7 +81,7 @@ class Wire:
         return answers + self.twin.advance(0.005)
 
 
-def test_another_library_understands_it() -> None:
+def test_rplidar_is_understood_by_another_library() -> None:
     driver = RPLIDAR_A1(Wire(RplidarTwin(room, rate=10.0, samples=360)))
     _, turn = itertools.islice(driver.scans(), 2)
     assert len(turn) == 360
@@ -90,7 +90,7 @@ def test_another_library_understands_it() -> None:
         assert point.dist_mm / 1000.0 == pytest.approx(expected, abs=0.0011)
 
 
-def test_it_serves_a_client_of_its_device_and_drops_unread_data() -> None:
+def test_lidar_emulator_serves_a_client_and_drops_unread_data() -> None:
     with LidarEmulator(RplidarTwin(room, rate=10.0, samples=360)) as emulator:
         port = os.open(emulator.device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         tty.setraw(port)

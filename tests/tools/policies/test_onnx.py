@@ -27,7 +27,7 @@ pytestmark = pytest.mark.xdist_group(__name__)
 
 
 @pytest.mark.parametrize("link", ["bullet", "planar"])
-def test_the_packaged_policy_reaches_its_goals(link: str) -> None:
+def test_packaged_policy_reaches_its_goals(link: str) -> None:
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=link)
     summary = summarise_episodes(list(run_episodes(env, OnnxPolicy("point_goal"), 20, seed=500)))
     env.close()
@@ -36,7 +36,7 @@ def test_the_packaged_policy_reaches_its_goals(link: str) -> None:
     assert summary.late_ticks == 0
 
 
-def test_a_policy_is_pickled_with_its_content(tmp_path: Path) -> None:
+def test_pickle_contains_the_file(tmp_path: Path) -> None:
     path = counting(tmp_path / "p.onnx")
     policy = OnnxPolicy(path)
     path.unlink()
@@ -48,7 +48,7 @@ def test_a_policy_is_pickled_with_its_content(tmp_path: Path) -> None:
     assert packaged.act_many(zeros[None]).shape == (1, 2)
 
 
-def test_a_recurrent_policy_keeps_its_state_until_the_reset(tmp_path: Path) -> None:
+def test_reset_clears_the_states(tmp_path: Path) -> None:
     policy = OnnxPolicy(counting(tmp_path / "p.onnx"))
     zeros = np.zeros(7, np.float32)
     for _ in range(2):
@@ -61,16 +61,10 @@ def test_a_recurrent_policy_keeps_its_state_until_the_reset(tmp_path: Path) -> N
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {"shape": ("n", 2)},
-        {"shape": (50_000, 50_000)},
-        {"dtype": 7},
-        {"outputs": 0},
-        {"outputs": 2},
-    ],
-    ids=["free", "huge", "integers", "lost", "too many"],
+    [{"shape": ("n", 2)}, {"shape": (50_000, 50_000)}, {"dtype": 7}, {"outputs": 0}],
+    ids=["free", "huge", "integers", "lost"],
 )
-def test_a_state_that_cannot_be_kept_is_one_line(options: dict[str, Any], tmp_path: Path) -> None:
+def test_onnx_policy_refuses_states(options: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(PolicyError, match=r"p\.onnx: "):
         OnnxPolicy(counting(tmp_path / "p.onnx", **options))
 
@@ -87,7 +81,7 @@ def refused(path: Path) -> str:
 
 
 @pytest.mark.parametrize("make", HOSTILE, ids=lambda make: make.__name__)
-def test_a_hostile_file_is_one_line(
+def test_onnx_policy_refuses_hostile_files_in_one_line(
     make: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -102,18 +96,17 @@ def test_a_hostile_file_is_one_line(
     [
         (b"PK", "isn't an ONNX file but a zip"),
         (pickle.dumps([1]), "isn't a whole ONNX file"),
-        (b"", "isn't a whole ONNX file"),
         (GOOD.read_bytes()[:900], "isn't a whole ONNX file"),
     ],
-    ids=["zip", "pickle", "empty", "cut"],
+    ids=["zip", "pickle", "cut"],
 )
-def test_what_is_no_onnx_file_is_named(content: bytes, message: str, tmp_path: Path) -> None:
+def test_onnx_policy_names_other_files(content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
     path.write_bytes(content)
     assert refused(path).startswith(f"{path}: {message}")
 
 
-def test_only_a_model_needs_to_be_trusted(tmp_path: Path) -> None:
+def test_zip_policy_asks_for_trust_only_for_models(tmp_path: Path) -> None:
     path = tmp_path / "model.zip"
     for names, trust, message in (
         (["data"], True, "isn't a zip of a stable-baselines3 model"),
@@ -126,8 +119,9 @@ def test_only_a_model_needs_to_be_trusted(tmp_path: Path) -> None:
             ZipPolicy(path, trust=trust)
 
 
-def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
-    pipe, large = tmp_path / "pipe.onnx", tmp_path / "large.onnx"
+def test_onnx_policy_reads_no_devices_pipes_and_large_files(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.onnx"
+    large = tmp_path / "large.onnx"
     os.mkfifo(pipe)
     with large.open("wb") as file:
         file.truncate(MAX_POLICY_BYTES + 1)
@@ -136,8 +130,8 @@ def test_devices_pipes_and_large_files_are_not_read(tmp_path: Path) -> None:
     assert "regular file" in refused(Path("/dev/zero"))
 
 
-@pytest.mark.parametrize("env_id", ["GymV21Environment-v0", "phys2d/CartPole-v1", "CartPole-v1"])
-def test_a_file_chooses_only_among_the_environments_of_this_package(
+@pytest.mark.parametrize("env_id", ["phys2d/CartPole-v1", "CartPole-v1"])
+def test_load_policy_lets_files_choose_only_envs_of_this_package(
     env_id: str, tmp_path: Path
 ) -> None:
     path = relabelled(tmp_path / "other.onnx", env=env_id)
@@ -149,13 +143,13 @@ def test_a_file_chooses_only_among_the_environments_of_this_package(
     assert "policy.env = " in refused(relabelled(path, env=f"some_module:{ENV_ID}"))
 
 
-def test_the_text_of_a_file_cannot_steer_a_terminal(tmp_path: Path) -> None:
+def test_load_policy_escapes_the_text_of_files(tmp_path: Path) -> None:
     lines = [f"\x1b]0;{line}\x07" for line in document_of().observation]
     for values in ({"env": "\x1b[2Jx"}, {"observation": lines}):
         assert "\x1b" not in refused(relabelled(tmp_path / "escape.onnx", **values))
 
 
-def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:
+def test_onnx_policy_refuses_other_names(tmp_path: Path) -> None:
     make = Maker()
     make.dense("observation", 7)
     path = tmp_path / "renamed.onnx"
@@ -164,7 +158,7 @@ def test_a_network_with_other_names_is_refused(tmp_path: Path) -> None:
     assert "must map 'observation' to 'action'" in refused(path)
 
 
-def test_the_file_contains_no_path_of_the_machine_that_trained(tmp_path: Path) -> None:
+def test_save_writes_no_path_of_this_machine(tmp_path: Path) -> None:
     import torch
 
     save(torch.nn.Linear(7, 2), "point_goal", tmp_path / "policy.onnx")
@@ -174,7 +168,7 @@ def test_the_file_contains_no_path_of_the_machine_that_trained(tmp_path: Path) -
         assert str(Path.home()).encode() not in content
 
 
-def test_driving_needs_no_torch_and_onnxruntime_keeps_no_id_of_this_computer(
+def test_driving_imports_no_torch_and_stores_no_id_of_this_computer(
     tmp_path: Path,
 ) -> None:
     silent = ("CI", "GITHUB_ACTIONS", "TF_BUILD", "ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME")

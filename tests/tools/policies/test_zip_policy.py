@@ -34,9 +34,10 @@ def refused(path: Path, **options: Any) -> str:
     return str(raised.value)
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("name", ["model.zip", "model.onnx"])
-def test_nothing_in_a_zip_runs_without_trust(
+@pytest.mark.parametrize(
+    ("place", "name"), [*((place, "model.zip") for place in PLACES), ("data", "model.onnx")]
+)
+def test_zip_policy_runs_nothing_without_trust(
     place: str, name: str, good: Path, tmp_path: Path
 ) -> None:
     marker = tmp_path / "marker"
@@ -49,7 +50,7 @@ def test_nothing_in_a_zip_runs_without_trust(
 
 
 @pytest.mark.parametrize("algorithm", NAMES)
-def test_it_decides_as_the_model_does_and_so_do_its_copies(algorithm: str, tmp_path: Path) -> None:
+def test_zip_policy_decides_as_the_model_and_so_do_copies(algorithm: str, tmp_path: Path) -> None:
     options: dict[str, Any] = {} if algorithm in {"PPO", "A2C"} else {"buffer_size": 10}
     path = save(tmp_path / "model.zip", algorithm, **options)
     model = algorithms()[algorithm].load(path, device="cpu")
@@ -57,6 +58,7 @@ def test_it_decides_as_the_model_does_and_so_do_its_copies(algorithm: str, tmp_p
     assert policy.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert policy.env_id == "acsar_gym/PointGoal-v0"
     runs.make_env(policy, "planar", None, {}).close()
+
     policy.save(tmp_path / "policy.onnx")
     path.unlink()
     copies = (OnnxPolicy(tmp_path / "policy.onnx"), pickle.loads(pickle.dumps(policy)))  # noqa: S301
@@ -74,17 +76,17 @@ def test_it_decides_as_the_model_does_and_so_do_its_copies(algorithm: str, tmp_p
     assert np.std(actions, axis=0).min() > 0.05
 
 
-def test_a_zip_without_a_label_needs_its_environment(tmp_path: Path) -> None:
+def test_zip_policy_without_a_label_needs_an_env(tmp_path: Path) -> None:
     path = save(tmp_path / "model.zip", label=False)
     assert "add --env point_goal" in refused(path)
     policy = ZipPolicy(path, trust=True, env_id="point_goal")
     assert policy.document.env == "acsar_gym/PointGoal-v0"
-    assert "made for Box(-2.0, 2.0, (7,))" in refused(path, env_id="path_follow")
+    assert "made for Box(" in refused(path, env_id="path_follow")
     with pytest.raises(ConfigError, match="Maze"):
         ZipPolicy(path, trust=True, env_id="maze")
 
 
-def test_what_is_no_whole_zip_is_one_line(good: Path, tmp_path: Path) -> None:
+def test_zip_policy_refuses_other_files_in_one_line(good: Path, tmp_path: Path) -> None:
     contents = {"empty": b"", "text": b"not a zip", "cut": good.read_bytes()[:-200]}
     for name, content in contents.items():
         (tmp_path / f"{name}.zip").write_bytes(content)
@@ -94,17 +96,17 @@ def test_what_is_no_whole_zip_is_one_line(good: Path, tmp_path: Path) -> None:
         refused(tmp_path / f"{name}.zip")
 
 
-def test_other_algorithms_actions_and_observations_are_refused(tmp_path: Path) -> None:
+def test_zip_policy_refuses_other_algorithms_actions_and_observations(tmp_path: Path) -> None:
     from stable_baselines3 import DQN, PPO
     from stable_baselines3.common.envs import SimpleMultiObsEnv
 
     path = tmp_path / "model.zip"
     DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu").save(path)
-    assert "and a Discrete: a policy of this package" in refused(path, env_id="point_goal")
+    assert "and Discrete(2): a policy of this package" in refused(path, env_id="point_goal")
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(path)
-    assert "actions Box(-2.0, 2.0, (1,))" in refused(path, env_id="point_goal")
+    assert "and Box(-2.0, 2.0, (1,)" in refused(path, env_id="point_goal")
     PPO("MultiInputPolicy", SimpleMultiObsEnv(discrete_actions=False), device="cpu").save(path)
-    assert "made for a Dict of img, vec" in refused(path, env_id="point_goal")
+    assert "made for Dict('img'" in refused(path, env_id="point_goal")
 
 
 def normalized(folder: Path, algorithm: str = "PPO", **options: Any) -> tuple[Path, Any, Any]:
@@ -127,7 +129,7 @@ def normalized(folder: Path, algorithm: str = "PPO", **options: Any) -> tuple[Pa
     return folder / "model.zip", model, env
 
 
-def test_statistics_of_vecnormalize_become_part_of_the_policy(tmp_path: Path) -> None:
+def test_zip_policy_contains_the_statistics_of_vecnormalize(tmp_path: Path) -> None:
     path, model, env = normalized(tmp_path)
     policies = [ZipPolicy(path, trust=True, env_id="point_goal")]
     beside = (tmp_path / "vecnormalize.pkl").rename(tmp_path / "statistics")
@@ -136,6 +138,7 @@ def test_statistics_of_vecnormalize_become_part_of_the_policy(tmp_path: Path) ->
         ZipPolicy(path, trust=True, env_id="point_goal", vecnormalize=named)
         for named in (beside, "none")
     ]
+
     for observation in np.random.default_rng(0).uniform(-2.0, 2.0, (20, 7)).astype(np.float32):
         expected, _ = model.predict(env.normalize_obs(observation), deterministic=True)
         plain, _ = model.predict(observation, deterministic=True)
@@ -148,7 +151,7 @@ def test_statistics_of_vecnormalize_become_part_of_the_policy(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("norm_obs", [False, True])
-def test_a_vecnormalize_is_visible_in_the_zip_of_sac(norm_obs: bool, tmp_path: Path) -> None:
+def test_zip_policy_notices_vecnormalize_of_sac(norm_obs: bool, tmp_path: Path) -> None:
     """SAC also saves an original observation without one."""
     path, *_ = normalized(tmp_path, "SAC", norm_obs=norm_obs)
     (tmp_path / "vecnormalize.pkl").unlink()
@@ -158,52 +161,13 @@ def test_a_vecnormalize_is_visible_in_the_zip_of_sac(norm_obs: bool, tmp_path: P
         ZipPolicy(path, trust=True, env_id="point_goal")
 
 
-@pytest.mark.parametrize(
-    ("algorithm", "normalizer"),
-    [
-        ("PPO", "around"),
-        ("RecurrentPPO", ""),
-        pytest.param("RecurrentPPO", "inside", marks=pytest.mark.slow),
-    ],
-)
-def test_a_frame_stack_becomes_states(algorithm: str, normalizer: str, tmp_path: Path) -> None:
-    """With VecNormalize inside or around it; two episodes, as the training's wrappers have them."""
-    from sb3_contrib import RecurrentPPO
+def test_zip_policy_refuses_a_frame_stack(tmp_path: Path) -> None:
     from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecFrameStack, VecNormalize
+    from stable_baselines3.common.vec_env import VecFrameStack
 
     from acsar_gym.tools.policies.sb3 import make_batch
 
-    env: Any = make_batch("point_goal", 1)
-    env = VecNormalize(env, clip_obs=1.5) if normalizer == "inside" else env
-    env = frames = VecFrameStack(env, 3)
-    env = VecNormalize(env, clip_obs=1.5) if normalizer == "around" else env
-    recurrent = algorithm == "RecurrentPPO"
-    kind: Any = RecurrentPPO if recurrent else PPO
-    net: dict[str, Any] = {"net_arch": [8], **({"lstm_hidden_size": 4} if recurrent else {})}
-    network = "MlpLstmPolicy" if recurrent else "MlpPolicy"
-    options: dict[str, Any] = {"n_steps": 16, "batch_size": 16, "policy_kwargs": net}
-    model = kind(network, env, device="cpu", seed=0, **options).learn(16)
-    for weight in model.policy.parameters():
-        weight.data.normal_(0.0, 0.4)
-    path = tmp_path / "model.zip"
-    model.save(path)
-    statistics: Any = env if normalizer == "around" else frames.venv
-    if normalizer:
-        statistics.save(str(tmp_path / "vecnormalize.pkl"))
-    policy = ZipPolicy(path, trust=True, env_id="point_goal")
-    stacks: Any = frames.stacked_obs
-    for episode in np.random.default_rng(0).uniform(-2.0, 2.0, (2, 6, 7)).astype(np.float32):
-        state = None
-        policy.reset()
-        for step, observation in enumerate(episode):
-            inside = normalizer == "inside"
-            once = (statistics.normalize_obs(observation) if inside else observation)[None]
-            stacked = (
-                stacks.update(once, np.zeros(1, bool), [{}])[0] if step else stacks.reset(once)
-            )
-            taken = statistics.normalize_obs(stacked) if normalizer == "around" else stacked
-            starts = np.array([step == 0])
-            expected, state = model.predict(taken, state, starts, deterministic=True)
-            assert policy(observation) == pytest.approx(expected[0], abs=1e-5)
+    env = VecFrameStack(make_batch("point_goal", 1), 3)
+    PPO("MlpPolicy", env, device="cpu").save(tmp_path / "model.zip")
     env.close()
+    assert "only VecNormalize" in refused(tmp_path / "model.zip", env_id="point_goal")

@@ -25,7 +25,9 @@ def inbox(lines: list[str]) -> CommandInbox:
     return CommandInbox(TIMEOUT, "base_link", lines.append)
 
 
-def test_the_newest_twist_counts_until_the_time_out(inbox: CommandInbox, lines: list[str]) -> None:
+def test_inbox_keeps_the_newest_twist_until_the_time_out(
+    inbox: CommandInbox, lines: list[str]
+) -> None:
     assert inbox.current() == (0.0, 0.0)
     inbox.take((1.0,) * 6)
     inbox.take(FORWARD, age=0.1, frame="/base_link")
@@ -46,7 +48,7 @@ def test_the_newest_twist_counts_until_the_time_out(inbox: CommandInbox, lines: 
         (FORWARD, 1.7e9, "set use_sim_time: false"),
     ],
 )
-def test_twists_that_cannot_be_driven_stop_the_robot_with_one_line(
+def test_inbox_refuses_twists_with_a_line(
     velocities: tuple[float, ...],
     age: float,
     reason: str,
@@ -66,23 +68,19 @@ def test_twists_that_cannot_be_driven_stop_the_robot_with_one_line(
     assert not inbox.problem
 
 
-def test_wall_clock_stamps_at_a_simulation_name_use_sim_time(
-    inbox: CommandInbox, lines: list[str]
-) -> None:
+def test_inbox_names_use_sim_time_for_another_clock(inbox: CommandInbox, lines: list[str]) -> None:
     inbox.take(FORWARD, age=-1.7e9, simulated=True)
     assert "set use_sim_time: true" in lines[0]
 
 
-def test_twists_in_other_frames_are_driven_and_reported_once(
-    inbox: CommandInbox, lines: list[str]
-) -> None:
+def test_inbox_takes_other_frames_and_reports_once(inbox: CommandInbox, lines: list[str]) -> None:
     for frame in ("odom", "base_footprint", "teleop_twist_joy", "odom"):
         inbox.take(FORWARD, frame=frame)
         assert inbox.current() == (0.2, 0.5)
     assert lines == ["cmd_vel: twists in 'odom' are driven as if in 'base_link'"]
 
 
-def test_joint_states_contain_all_that_odometry_integrated_in_a_late_tick() -> None:
+def test_list_states_contains_all_that_odometry_integrated() -> None:
     """Their readers apply each speed from the previous stamp to its own."""
     slow: Speeds = (1.0, 2.0, 2.0, 1.0)
     fast: Speeds = (3.0, 4.0, 4.0, 3.0)

@@ -37,13 +37,13 @@ def make_frames() -> Frames:
         ("laser", (1.0, 0.5), (1.5, 2.2)),
     ],
 )
-def test_goals_are_transformed_to_the_odometrys_frame(
+def test_find_goal_transforms_to_the_odometrys_frame(
     frame: str, place: tuple[float, float], in_odom: tuple[float, float]
 ) -> None:
     assert make_frames().find_goal(Goal(*place, frame))[:2] == pytest.approx(in_odom)
 
 
-def test_a_goal_in_map_follows_later_corrections_and_one_of_the_robot_does_not_move() -> None:
+def test_fix_goal_keeps_only_a_goal_ahead_from_moving() -> None:
     frames = make_frames()
     in_map = frames.fix_goal(Goal(1.0, 3.0, "map"))
     ahead = frames.fix_goal(Goal(1.0, 0.0, "base_link"))
@@ -53,7 +53,7 @@ def test_a_goal_in_map_follows_later_corrections_and_one_of_the_robot_does_not_m
     assert frames.find_goal(ahead)[:2] == pytest.approx((2.0, 2.0))
 
 
-def test_the_odometrys_topic_counts_if_no_transform_has_the_robots_pose() -> None:
+def test_find_base_uses_the_odometrys_topic_without_a_transform() -> None:
     frames = Frames("odom", "base_link")
     assert frames.find_base() is None
     frames.add_odometry((3.0, 0.0, 0.0))
@@ -74,7 +74,7 @@ def test_the_odometrys_topic_counts_if_no_transform_has_the_robots_pose() -> Non
         (Goal(1.0, 0.0, "/"), "names no frame"),
     ],
 )
-def test_goals_that_have_no_place_are_refused(goal: Goal, reason: str) -> None:
+def test_find_goal_refuses_goals_without_a_place(goal: Goal, reason: str) -> None:
     frames = make_frames()
     frames.add("mast", "camera", (0.0, 0.0, 0.0))
     frames.add("camera", "mast", (0.0, 0.0, 0.0))  # a circle
@@ -86,7 +86,7 @@ def make_env(name: str, **options: Any) -> gymnasium.Env[Any, Any]:
     return gymnasium.make(f"acsar_gym/{name}", link="planar", **options)
 
 
-def test_the_goals_of_an_open_floor_are_those_of_the_task() -> None:
+def test_goal_rules_of_an_open_floor_are_the_tasks() -> None:
     with contextlib.closing(make_env("PointGoal-v0", goal_distance=(1.0, 4.0))) as env:
         rules = GoalRules.of(env)
     rules.check(Goal(0.0, -4.0), 4.0)
@@ -95,20 +95,20 @@ def test_the_goals_of_an_open_floor_are_those_of_the_task() -> None:
             rules.check(Goal(distance, 0.0, "map"), distance)
 
 
-def test_goals_among_obstacles_can_be_reached_within_the_time_limit() -> None:
+def test_goal_rules_among_obstacles_end_with_the_time_limit() -> None:
     with contextlib.closing(make_env("ObstacleGoal-v1", max_episode_steps=100)) as env:
         rules = GoalRules.of(env)
         inner: Any = env.unwrapped
     assert rules == pytest.approx((0.3, 10.0 * inner.robot.config.max_linear))
 
 
-def test_a_task_without_goals_is_refused() -> None:
+def test_goal_rules_refuse_a_task_without_goals() -> None:
     env = make_env("PathFollow-v0")
     with contextlib.closing(env), pytest.raises(ConfigError, match="has no goals"):
         GoalRules.of(env)
 
 
-def test_a_goal_that_moves_is_in_the_next_observation() -> None:
+def test_move_goal_shows_in_the_next_observation() -> None:
     with contextlib.closing(make_env("PointGoal-v0")) as env:
         env.reset(seed=0, options={"goal": (2.0, 0.0)})
         inner: Any = env.unwrapped
@@ -118,7 +118,7 @@ def test_a_goal_that_moves_is_in_the_next_observation() -> None:
 
 
 @pytest.mark.slow
-def test_the_way_over_the_map_leads_to_a_goal_that_moves() -> None:
+def test_move_goal_leads_the_way_over_the_map() -> None:
     open_floor = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(3.0, 0.0))
     with contextlib.closing(make_env("ObstacleGoal-v1", worlds=[open_floor])) as env:
         env.reset(seed=0)
@@ -126,5 +126,5 @@ def test_the_way_over_the_map_leads_to_a_goal_that_moves() -> None:
         move_goal(inner, (0.0, 2.0))
         for _ in range(10):
             env.step(np.zeros(2, np.float32))
-        (seen,) = (sensor for sensor in inner.sensors if sensor.name == "map")
-        assert seen.way_ahead[-1, :2] == pytest.approx((0.0, 2.0), abs=0.1)
+        (map_sensor,) = (sensor for sensor in inner.sensors if sensor.name == "map")
+        assert map_sensor.way_ahead[-1, :2] == pytest.approx((0.0, 2.0), abs=0.1)

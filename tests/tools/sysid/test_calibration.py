@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 from calibration_tools import ACSAR, circle_wheels, leg_wheels, line_wheels, spin_wheels
 
-from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.errors import ConfigError
 from acsar_gym.links import open_link
 from acsar_gym.odometry import Odometry
 from acsar_gym.recording import Recorder
@@ -23,12 +22,7 @@ from acsar_gym.tools.sysid.calibration import (
     integrate_wheels,
     read_recorded_runs,
 )
-from acsar_gym.tools.sysid.calibration_drive import (
-    RunPlan,
-    drive_plans,
-    plan_straights,
-    plan_turns,
-)
+from acsar_gym.tools.sysid.calibration_drive import drive_plans, plan_straights, plan_turns
 
 NOMINAL = Geometry.of(ACSAR)
 EVEN = Geometry(0.05, 0.0, 1.5)
@@ -110,31 +104,14 @@ def test_given_readings_are_for_all_runs_of_a_manoeuvre() -> None:
         GivenReadings((), (0.1,)).check(["straight"])
 
 
-def drive(
-    plans: list[RunPlan], recorder: Recorder | None = None, last: str = ""
-) -> list[CalibrationRun]:
-    """The runs, up to the announcement of a last run, which fails."""
-    runs: list[CalibrationRun] = []
-    robot = Robot(open_link("planar", ACSAR), ACSAR, recorder=recorder)
-
-    def announce(plan: RunPlan) -> None:
-        if plan.name == last:
-            raise LinkError("unplugged")
-
-    with contextlib.suppress(LinkError):
-        drive_plans(robot, plans, None, runs=runs, announce=announce, recorder=recorder)
-    return runs
-
-
-def test_drive_plans_keeps_runs_that_ended_before_a_failure() -> None:
-    runs = drive(plan_straights(0.5, 0.4, 2), last="straight 2")
-    assert [run.name for run in runs] == ["straight 1"]
-
-
 def test_read_recorded_runs_returns_the_driven_runs(tmp_path: Path) -> None:
     path = tmp_path / "runs.mcap"
     plans = [*plan_straights(0.3, 0.4, 1), *plan_turns(0.5, (1.2,), (0.0,), 2)]
-    recorded = drive(plans, Recorder(path))
+    recorder = Recorder(path)
+    robot = Robot(open_link("planar", ACSAR), ACSAR, recorder=recorder)
+    recorded: list[CalibrationRun] = []
+    drive_plans(robot, plans, None, runs=recorded, announce=print, recorder=recorder)
+
     runs = read_recorded_runs(path, "all", ACSAR)
     for run, driven in zip(runs, recorded, strict=True):
         assert (run.name, run.manoeuvre) == (driven.name, driven.manoeuvre)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -15,8 +17,6 @@ from acsar_gym.tools.sysid.response import (
     Responder,
     Rounding,
     WheelModel,
-    lag_blend,
-    ramp_step,
     simulate_speeds,
 )
 
@@ -35,8 +35,8 @@ def test_simulate_speeds_is_the_twin_loop_for_loop() -> None:
     commands = np.repeat(np.random.default_rng(1).uniform(-12.0, 12.0, 20), 30)
     speeds = simulate_speeds(
         (np.append(0.0, commands[:-1]), commands, np.ones(len(commands))),
-        step=ramp_step(1.0 / 40.0, dt),
-        blend=lag_blend(0.1, dt),
+        step=40.0 * dt,
+        blend=1.0 - math.exp(-dt / 0.1),
         gain=0.95,
         deadband=0.5,
         top=30.0,

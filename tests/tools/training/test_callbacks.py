@@ -1,43 +1,127 @@
-"""What a training logs."""
+"""Scores of a policy that is being trained, and its log."""
 
 from __future__ import annotations
 
 import csv
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import gymnasium
+import numpy as np
 import pytest
+from rich.progress import Progress
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import configure
 
-from acsar_gym.envs import PointGoalVectorEnv
+from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv
+from acsar_gym.tools.evaluation import episodes
+from acsar_gym.tools.policies.sb3 import BatchVecEnv
+from acsar_gym.tools.training import callbacks
+from acsar_gym.tools.training.callbacks import evaluate_held_out
+from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED
+from acsar_gym.tools.training.plan import choose_held_out_worlds
+from acsar_gym.worlds import Region, World
+from acsar_gym.worlds.movers import walk
+from acsar_gym.worlds.pool import Pool
 
-STEPS, ROBOTS, LIMIT = 8, 32, 20
+WORLDS = "clutter:900-903"
+STEPS = 60
+ROBOTS = 6
+PEOPLE = World(
+    start=Region(0.0, 0.0, 0.0, 0.0),
+    goal=Region(4.0, 0.0),
+    movers=[walk([[x, -1.0], [x, 1.0]], 1.0, spread=4.0) for x in (0.8, 1.6)],
+)
 
 
-def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def towards(observations: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Turn to the goal and drive, through whatever is there."""
+    turns = np.clip(2.0 * observations[:, 2], -1.0, 1.0)
+    return np.stack([np.ones(len(observations)), turns], axis=1)
+
+
+def make_model(batch: Any) -> Any:
+    """Make a model that drives `towards` the goal."""
+    return SimpleNamespace(
+        observation_space=batch.single_observation_space,
+        predict=lambda observations, *_, **__: (towards(observations), ()),
+    )
+
+
+@pytest.mark.parametrize("worlds", [WORLDS, PEOPLE], ids=["standing", "people"])
+def test_evaluate_held_out_agrees_with_evaluation_of_the_same_episodes(worlds: Any) -> None:
+    batch = ObstacleGoalVectorEnv(ROBOTS, worlds=worlds, max_episode_steps=STEPS, threads=1)
+    score = evaluate_held_out(make_model(batch), batch)
+    batch.close()
+
+    env = gymnasium.make(
+        "acsar_gym/ObstacleGoal-v1", link="planar", worlds=worlds, max_episode_steps=STEPS
+    )
+
+    def policy(observation: Any) -> Any:
+        return towards(observation[None])[0]
+
+    results = list(episodes.run_episodes(env, policy, ROBOTS, FIRST_HELD_OUT_SEED))
+    env.close()
+    assert score["success_rate"] == pytest.approx(np.mean([r.success for r in results]))
+    assert score["collision_rate"] == pytest.approx(np.mean([r.collision for r in results]))
+    assert 0.0 < score["collision_rate"] < 1.0
+    struck = np.mean([r.person_contact == 2.0 for r in results])
+    assert score["struck_rate"] == pytest.approx(struck)
+    assert (score["struck_rate"] > 0.0) == (worlds is PEOPLE)
+    ticks = np.mean([r.ticks for r in results])
+    assert score["mean_length"] == pytest.approx(ticks / 10.0)
+
+
+def test_evaluate_held_out_counts_every_robot_once_and_repeats() -> None:
+    batch = PointGoalVectorEnv(16, goal_distance=(0.3, 1.5), max_episode_steps=30, threads=1)
+    scores = [evaluate_held_out(make_model(batch), batch) for _ in range(2)]
+    batch.close()
+    assert scores[0] == scores[1]
+    assert 0.0 < scores[0]["success_rate"] < 1.0
+    assert scores[0]["success_rate"] * 16 == round(scores[0]["success_rate"] * 16)
+    assert scores[0]["mean_length"] < 30.0
+
+
+@pytest.mark.parametrize(
+    ("training", "held_out"),
+    [
+        ("barn", ["barn:900-963"]),
+        ("clutter:1000", ["clutter:1000-1063"]),
+        ("clutter:963-1100", ["clutter:1101-1164"]),
+        ("clutter:964-1100", ["clutter:900-963"]),
+        (["clutter:train", "barn:train"], ["clutter:900-931", "barn:900-931"]),
+    ],
+)
+def test_choose_held_out_worlds_takes_other_worlds(training: Any, held_out: list[str]) -> None:
+    assert choose_held_out_worlds(Pool.of(training)) == held_out
+
+
+def test_choose_held_out_worlds_leaves_files_and_the_open_floor() -> None:
+    assert choose_held_out_worlds(Pool.of(PEOPLE)) is None
+    assert choose_held_out_worlds(None) is None
+
+
+def test_whole_cohorts_and_held_out_scores_log_unbiased_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Robots all start at once: the first episodes that end are the successful ones."""
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.callbacks import BaseCallback
-    from stable_baselines3.common.logger import configure
-
-    from acsar_gym.tools.policies.sb3 import BatchVecEnv
-    from acsar_gym.tools.training import callbacks, held_out
-
-    batches = [
-        PointGoalVectorEnv(
-            robots, goal_distance=(0.3, 0.6), max_episode_steps=LIMIT, autoreset_mode=mode
-        )
-        for robots, mode in ((ROBOTS, "SameStep"), (4, "NextStep"))
-    ]
-    total = STEPS * ROBOTS * 4
-    scores = callbacks.HeldOutScores(batches[1], held_out.Curve(), total // 16)
-    watching: list[BaseCallback] = [callbacks.WholeCohorts(LIMIT), scores]
-    watching.append(callbacks.TrainingProgress(total, scores))
-    model = PPO("MlpPolicy", BatchVecEnv(batches[0]), n_steps=STEPS, batch_size=256, n_epochs=1)
+    options: dict[str, Any] = {"goal_distance": (0.3, 0.6), "max_episode_steps": 20}
+    training = BatchVecEnv(PointGoalVectorEnv(32, autoreset_mode="SameStep", **options))
+    held_out = PointGoalVectorEnv(4, **options)
+    scores = callbacks.HeldOutScores(held_out, tmp_path, interval=64)
+    progress = callbacks.TrainingProgress(Progress(disable=True), 1024, scores)
+    watching: list[BaseCallback] = [callbacks.WholeCohorts(20), scores, progress]
+    model = PPO("MlpPolicy", training, n_steps=8, batch_size=256, n_epochs=1)
     model.set_logger(configure(str(tmp_path), ["csv"]))
-    model.learn(total, callback=watching)
+    model.learn(1024, callback=watching)
     scores.finish()
-    for batch in batches:
-        batch.close()
     model.logger.close()
+    training.close()
+    held_out.close()
+
     with (tmp_path / "progress.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert "rollout/success_rate" not in rows[0]
@@ -45,7 +129,7 @@ def test_only_honest_figures_are_logged(tmp_path: Path, capsys: pytest.CaptureFi
     assert all(row["eval/success_rate"] for row in rows)
     assert all(row["eval/mean_return"] and row["eval/collision_rate"] for row in rows)
     # rich before 15 ends bars with an empty line
-    said = capsys.readouterr().out.strip().splitlines()
-    assert said[0].startswith(f"{STEPS * ROBOTS:,} of {total:,} steps, ")
-    assert "held-out success" in said[0]
-    assert len(said) == 4
+    lines = capsys.readouterr().out.strip().splitlines()
+    assert lines[0].startswith("256 of 1,024 steps")
+    assert "held-out success" in lines[0]
+    assert len(lines) == 4

@@ -25,15 +25,15 @@ NAMES = (*ObstacleGoal.observation, *MAP_NAMES)
 WIDTH = len(NAMES)
 MIRRORED = ("goal_sin", "angular_velocity", "last_angular", "way_sin_0", "way_sin_1", "way_sin_2")
 """Numbers that change their sign in the mirror."""
-MOVED = tuple(f"mover_{part}_{n}" for n in range(MOST_MOVERS) for part in ("y", "speed_y"))
+MOVED = tuple(f"mover_{axis}_{n}" for n in range(MOST_MOVERS) for axis in ("y", "speed_y"))
 AMONG_PEOPLE = ((*NAMES, *MOVER_NAMES), (*MIRRORED, *MOVED))
 
 
 def mirrored(width: int = WIDTH, env_id: str = "ObstacleGoal-v1", **options: Any) -> Any:
     import torch
 
-    given = recipes.read_recipe("ppo", f"acsar_gym/{env_id}")
-    kwargs = {**given.arguments["policy_kwargs"], "net_arch": [32, 32], **options}
+    recipe = recipes.read_recipe("ppo", f"acsar_gym/{env_id}")
+    kwargs = {**recipe.arguments["policy_kwargs"], "net_arch": [32, 32], **options}
     torch.manual_seed(0)
     box = gymnasium.spaces.Box(-2.0, 2.0, (width,))
     policy = MirrorPolicy(box, gymnasium.spaces.Box(-1.0, 1.0, (2,)), lambda _: 1e-3, **kwargs)
@@ -51,46 +51,48 @@ def mirrored(width: int = WIDTH, env_id: str = "ObstacleGoal-v1", **options: Any
         ("DynaBarn-v0", *AMONG_PEOPLE),
     ],
 )
-def test_a_mirrored_scene_gets_the_mirrored_action_and_the_same_value(
+def test_mirror_policy_mirrors_the_action_and_keeps_the_value(
     env_id: str, names: tuple[str, ...], odd: tuple[str, ...]
 ) -> None:
     """By the recipe's own indices, for a mirror image made from the numbers' names."""
     import torch
 
-    policy, rng = mirrored(len(names), env_id), np.random.default_rng(0)
-    seen = torch.from_numpy(rng.uniform(0.1, 1.0, (20, len(names))).astype(np.float32))
-    image = seen.clone()
+    policy = mirrored(len(names), env_id)
+    rng = np.random.default_rng(0)
+    scene = torch.from_numpy(rng.uniform(0.1, 1.0, (20, len(names))).astype(np.float32))
+    image = scene.clone()
     image[:, [names.index(name) for name in odd]] *= -1.0
     for stem in ("clearance", "arc", "wide_arc"):  # to the right becomes to the left
         group = [k for k, name in enumerate(names) if name.rpartition("_")[0] == stem]
-        image[:, group] = seen[:, group[::-1]]
+        image[:, group] = scene[:, group[::-1]]
     for stem in ("contact", "gap") if len(names) > WIDTH else ():
         for course, (share, curvature) in enumerate(COURSES):
-            other = COURSES.index((share, -curvature))
-            place, source = (names.index(f"{stem}_{n}") for n in (course, other))
-            image[:, place] = seen[:, source]
+            mirrored_course = COURSES.index((share, -curvature))
+            place, source = (names.index(f"{stem}_{n}") for n in (course, mirrored_course))
+            image[:, place] = scene[:, source]
     with torch.no_grad():
-        actions, images = (policy.get_distribution(one).mode() for one in (seen, image))
-        values, same = policy.predict_values(seen), policy.predict_values(image)
+        actions = policy.get_distribution(scene).mode()
+        images = policy.get_distribution(image).mode()
+        values = policy.predict_values(scene)
+        assert torch.allclose(policy.predict_values(image), values, atol=1e-5)
     assert torch.allclose(images, actions * torch.tensor([1.0, -1.0]), atol=1e-4)
-    assert torch.allclose(same, values, atol=1e-5)
     assert actions.abs().min() > 1e-4
 
 
 @pytest.mark.parametrize(
-    "given",
+    "options",
     [
         {"odd": (2, WIDTH)},
         {"reversed_at": [(WIDTH - 10, 11)]},
         {"reversed_at": [(20, 10), (29, 4)]},
     ],
 )
-def test_numbers_that_there_are_not_are_refused(given: dict[str, Any]) -> None:
+def test_mirror_policy_refuses_other_numbers(options: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match=f"must be different ones of {WIDTH} numbers"):
-        mirrored(**given)
+        mirrored(**options)
 
 
-def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
+def test_mirror_policy_acts_the_same_when_exported(tmp_path: Path) -> None:
     import torch
 
     from acsar_gym.tools.policies import sb3_export
@@ -102,12 +104,13 @@ def test_the_exported_network_acts_as_the_trained_one(tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
     described = describe_policy(env, "acsar_gym/ObstacleGoal-v1", width=WIDTH)
     path.write_bytes(sb3_export.export_policy(policy, described))
-    whole = env.single_observation_space.shape
+    shape = env.single_observation_space.shape
     env.close()
-    exported, rng = OnnxPolicy(path), np.random.default_rng(0)
+    exported = OnnxPolicy(path)
+    rng = np.random.default_rng(0)
     for _ in range(5):
-        seen = rng.uniform(0.1, 1.0, whole).astype(np.float32)
+        observation = rng.uniform(0.1, 1.0, shape).astype(np.float32)
         with torch.no_grad():
-            first = torch.from_numpy(seen[None, :WIDTH])
-            wanted = policy.get_distribution(first).mode().numpy()[0]
-        assert exported(seen) == pytest.approx(np.clip(wanted, -1.0, 1.0), abs=1e-5)
+            kept = torch.from_numpy(observation[None, :WIDTH])
+            expected = policy.get_distribution(kept).mode().numpy()[0]
+        assert exported(observation) == pytest.approx(np.clip(expected, -1.0, 1.0), abs=1e-5)

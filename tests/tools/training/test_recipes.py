@@ -23,16 +23,16 @@ GOOD = "default: {n_timesteps: 1e3, n_envs: 4, policy: MlpPolicy, n_steps: 8}\n"
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-@pytest.mark.parametrize("env_id", [*IDS, "mine/Task-v0"])
-def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str, tmp_path: Path) -> None:
-    bare_id = env_id if "/" in env_id else f"acsar_gym/{env_id}"
-    recipe = recipes.read_recipe(name, bare_id)
-    arguments = recipe.build_arguments()
-    assert arguments["policy"] == recipe.values["policy"] or "." in recipe.values["policy"]
-    assert "link" not in recipe.env_kwargs
-    kept = tmp_path / "config.yml"
-    kept.write_text(yaml.safe_dump({bare_id: recipe.values, "run": {}}))
-    assert recipes.read_recipe(name, bare_id, kept).values == recipe.values
+def test_read_recipe_has_recipes_for_every_env_and_reads_config_files(
+    name: str, tmp_path: Path
+) -> None:
+    config = tmp_path / "config.yml"
+    for env_id in ("mine/Task-v0", *(f"acsar_gym/{bare_id}" for bare_id in IDS)):
+        recipe = recipes.read_recipe(name, env_id)
+        assert recipe.build_arguments()["policy"]
+        assert "link" not in recipe.env_kwargs
+        config.write_text(yaml.safe_dump({env_id: recipe.values, "run": {}}))
+        assert recipes.read_recipe(name, env_id, config).values == recipe.values
 
 
 @pytest.mark.parametrize(
@@ -41,9 +41,8 @@ def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str, tmp_
         ("[", "YAML"),
         ("mine/Other-v0: {}", "has no 'mine/Task-v0' and no 'default'"),
         (GOOD.replace("n_steps", "n_step"), "'n_step': no argument of ppo; did you mean 'n_steps'"),
-        (GOOD.replace("n_steps: 8", "env_wrapper: a.b"), "'env_wrapper': no argument of ppo"),
         (GOOD.replace("1e3", "many"), "n_timesteps = 'many'"),
-        (GOOD.replace("n_timesteps: 1e3, ", ""), "n_timesteps = None"),
+        (GOOD.replace("n_steps: 8", "learning_rate: lin_x"), "convert string to float: 'x'"),
         (GOOD.replace("MlpPolicy", "no.such.Policy"), "policy: 'no.such.Policy'"),
         (
             GOOD.replace("n_steps: 8", "policy_kwargs: {activation_fn: torch.nn.ReLUU}"),
@@ -51,12 +50,10 @@ def test_every_algorithm_has_a_recipe_for_every_env(name: str, env_id: str, tmp_
         ),
         (GOOD.replace("n_steps: 8", "env_kwargs: {robot: husky}"), "env_kwargs: robot: leave it"),
         ("default: !!python/object/apply:os.abort []", "not valid YAML"),
-        ("? [a]\n: 1\n", "a key must be text"),
         ("default: 3", "must be hyperparameters by name"),
-        ("default: &a {n_envs: 1}\nother: {<<: *a}", ""),
     ],
 )
-def test_a_bad_recipe_is_refused_in_one_line(text: str, message: str, tmp_path: Path) -> None:
+def test_read_recipe_refuses_in_one_line(text: str, message: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text(text)
     with pytest.raises(ConfigError) as error:
@@ -66,14 +63,11 @@ def test_a_bad_recipe_is_refused_in_one_line(text: str, message: str, tmp_path: 
     assert "\n" not in str(error.value)
 
 
-def test_a_schedule_falls_linearly_and_another_text_is_refused(tmp_path: Path) -> None:
+def test_parse_schedule_falls_linearly(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text(GOOD.replace("n_steps: 8", "learning_rate: lin_0.004"))
     rate = recipes.read_recipe("ppo", "mine/Task-v0", file).build_arguments()["learning_rate"]
     assert [rate(1.0), rate(0.5)] == pytest.approx([0.004, 0.002])
-    file.write_text(GOOD.replace("n_steps: 8", "learning_rate: fast"))
-    with pytest.raises(ConfigError, match="default: learning_rate: 'fast': must be a number"):
-        recipes.read_recipe("ppo", "mine/Task-v0", file).build_arguments()
 
 
 HOSTILE: dict[str, dict[str, Any]] = {
@@ -83,12 +77,11 @@ HOSTILE: dict[str, dict[str, Any]] = {
     "sensors": {"env_kwargs": {"sensors": ["evil:Sonar"]}},
     "nested": {"env_kwargs": {"faults": {"evil:x": [["evil:y"]]}}},
     "wrapper": {"vec_env_wrapper": "evil.wrap"},
-    "monitor": {"vec_env_wrapper": {"stable_baselines3.common.vec_env.VecMonitor": {}}},
 }
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_recipe_runs_and_writes_nothing(
+def test_read_recipe_imports_nothing_that_a_stranger_names(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -104,7 +97,7 @@ def test_a_hostile_recipe_runs_and_writes_nothing(
     assert "evil" not in sys.modules
 
 
-def test_the_package_of_the_env_may_be_used(
+def test_import_class_accepts_the_package_of_the_env(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "my_networks.py").write_text("from torch.nn import ReLU as MyUnit\n")
@@ -117,14 +110,15 @@ def test_the_package_of_the_env_may_be_used(
         "env_kwargs": {"worlds": "my_networks.worlds:corr:0-9"},
     }
     file.write_text(yaml.safe_dump({"default": values}))
+
     recipe = recipes.read_recipe("ppo", "mine/Task-v0", file, "my_networks.tasks")
     assert recipe.build_arguments()["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
     assert recipe.env_kwargs == values["env_kwargs"]
-    with pytest.raises(ConfigError, match="not a class that recipes may name"):
+    with pytest.raises(ConfigError, match="imports nothing but the package of --env"):
         recipes.read_recipe("ppo", "mine/Task-v0", file, "other")
 
 
-def test_a_mirror_policy_takes_names_as_rl_zoo_gives_them() -> None:
+def test_mirror_policy_takes_names_of_classes() -> None:
     kwargs = recipes.read_recipe("ppo", "acsar_gym/Barn-v1").arguments["policy_kwargs"]
     spaces = Box(-1.0, 1.0, (97,)), Box(-1.0, 1.0, (2,))
     assert MirrorPolicy(*spaces, lambda _: 0.001, **kwargs).activation_fn is ReLU

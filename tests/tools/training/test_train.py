@@ -54,9 +54,7 @@ RECIPES: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("algo", RECIPES)
-def test_every_algorithm_leaves_a_policy_that_decides_as_its_model(
-    algo: str, tmp_path: Path
-) -> None:
+def test_train_writes_a_policy_that_decides_as_its_model(algo: str, tmp_path: Path) -> None:
     recipe = tmp_path / "mine.yml"
     out = tmp_path / "out"
     recipe.write_text(yaml.safe_dump({"default": RECIPES[algo]}))
@@ -73,9 +71,7 @@ def test_every_algorithm_leaves_a_policy_that_decides_as_its_model(
     assert (policy(observations[0]) == actions[0]).all() == (algo != "ppo_lstm")
 
 
-def test_a_target_ends_the_training_with_the_policy_that_reached_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_train_ends_at_its_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = train(tiny(tmp_path, steps=100_000, target=0.0))
     output = capsys.readouterr().out
     assert " of 512 episodes (" in output
@@ -87,7 +83,7 @@ def test_a_target_ends_the_training_with_the_policy_that_reached_it(
     assert result.score.success_rate == float(row["success_rate"])
 
 
-def test_without_cuda_it_is_one_line(tmp_path: Path) -> None:
+def test_train_refuses_cuda_without_a_device(tmp_path: Path) -> None:
     import torch
 
     if torch.cuda.is_available():
@@ -98,9 +94,9 @@ def test_without_cuda_it_is_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("module", "program"),
-    [("torch", f"{MAIN} train"), ("onnxscript", f"{MAIN} train"), ("torch", f"{AGENTS}/train.py")],
+    [("torch", f"{MAIN} train"), ("onnxscript", f"{AGENTS}/train.py")],
 )
-def test_a_missing_extra_is_named(module: str, program: str) -> None:
+def test_train_names_a_missing_extra(module: str, program: str) -> None:
     command = [sys.executable, "-c", WITHOUT, module, *program.split()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
     assert done.returncode == 2
@@ -108,12 +104,12 @@ def test_a_missing_extra_is_named(module: str, program: str) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_sigterm_saves_what_there_is(tmp_path: Path) -> None:
+def test_train_saves_at_sigterm(tmp_path: Path) -> None:
     command = [*CLI, "train", "--steps", "1e8", "--robots", "16", "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            assert process.stdout.readline().startswith("training on an open floor, held out: ")
+            assert process.stdout.readline().startswith("training on an open floor; ")
             assert "held-out success" in process.stdout.readline()
             started = psutil.Process(process.pid).children(recursive=True)
             process.send_signal(signal.SIGTERM)
@@ -121,6 +117,7 @@ def test_sigterm_saves_what_there_is(tmp_path: Path) -> None:
             process.wait(TIMEOUT)
         finally:
             process.kill()
+
         assert process.returncode == 128 + signal.SIGTERM
     assert started == []
     words = [line.split(" ")[0] for line in output if line and "held-out" not in line]
@@ -129,13 +126,13 @@ def test_sigterm_saves_what_there_is(tmp_path: Path) -> None:
     assert (tmp_path / "model.zip").stat().st_size > 1000
 
 
-def test_a_training_says_how_good_it_is_and_what_comes_next(
+def test_train_prints_the_score_and_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "my runs"
     train(tiny(out, steps=1, robots=4))
     first, written, score, following = capsys.readouterr().out.splitlines()
-    assert first == "training on an open floor, held out: other seeds; 1 thread, seed 3"
+    assert first == "training on an open floor; 1 thread, seed 3"
     assert written.startswith(f"written: {out / 'policy.onnx'}")
     assert score.startswith("held-out success: ")
     assert " of 64 episodes" in score
@@ -144,9 +141,7 @@ def test_a_training_says_how_good_it_is_and_what_comes_next(
     assert {path.name for path in out.iterdir()} == names | {"learning_curve.png"}
 
 
-def test_a_training_says_which_ranges_were_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_train_prints_measured_ranges(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lag = {"low": 0.1, "high": 0.12, "method": "identify"}
     robot = RobotConfig.preset("acsar").with_(
         motor={"time_constant": 0.11},
@@ -156,6 +151,7 @@ def test_a_training_says_which_ranges_were_measured(
     )
     robot.save(tmp_path / "robot.yaml")
     options = {"steps": 1, "robots": 4, "robot": str(tmp_path / "robot.yaml")}
+
     train(tiny(tmp_path / "measured", **options))
     first, misfit, *_ = capsys.readouterr().out.splitlines()
     assert misfit.endswith(
@@ -172,27 +168,19 @@ def test_a_training_says_which_ranges_were_measured(
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
-        (
-            {"steps": 100_000, "robots": 512, "env": "obstacle_goal"},
-            "100,000 steps of 512 robots are 7 updates; --robots 52 there are 61",
-        ),
+        ({"steps": 100_000, "robots": 512, "env": "obstacle_goal"}, "robots are only 7 updates"),
+        ({"steps": 4096, "robots": 512, "algo": "sac"}, "4,096 steps of 512 robots are only 8"),
         ({"steps": 100_000, "robots": 16, "env": "obstacle_goal"}, ""),
-        ({}, ""),
         ({"steps": 1, "robots": 4}, ""),
-        (
-            {"steps": 4096, "robots": 512, "algo": "sac"},
-            "4,096 steps of 512 robots are 8 updates; --robots 68 there are 61",
-        ),
     ],
 )
-def test_few_updates_are_reported_with_the_robots_that_give_more(
-    options: dict[str, Any], hint: str
-) -> None:
+def test_update_hint_reports_few_updates(options: dict[str, Any], hint: str) -> None:
     line = TrainingPlan.of(TrainingOptions(threads=1, **options)).update_hint
-    assert line.replace(" of the policy, few to learn from: with", ";") == hint
+    assert hint in line
+    assert bool(line) == bool(hint)
 
 
-def test_a_recipe_may_have_ranges_of_its_own(tmp_path: Path) -> None:
+def test_randomization_takes_the_ranges_of_the_recipe(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.yml"
     text = "{env_kwargs: {randomization: {friction: [0.7, 1.2]}}, n_timesteps: 1, n_envs: 4}"
     recipe.write_text(f"acsar_gym/PointGoal-v0: {text}", encoding="utf-8")
@@ -203,5 +191,5 @@ def test_a_recipe_may_have_ranges_of_its_own(tmp_path: Path) -> None:
     assert TrainingPlan.of(options).randomization is False
 
 
-def test_the_measured_cores_are_within_what_there_is() -> None:
+def test_measure_free_cores_is_within_limits() -> None:
     assert 1 <= plan.measure_free_cores() <= usable_cores()

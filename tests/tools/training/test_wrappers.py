@@ -33,8 +33,8 @@ def batch(**options: Any) -> VecEnv:
 
 def singles(**options: Any) -> VecEnv:
     def make() -> Any:
-        asked = {"link": "planar", **OPTIONS, **options}
-        return gymnasium.make("acsar_gym/ObstacleGoal-v1", **asked)
+        arguments = {"link": "planar", **OPTIONS, **options}
+        return gymnasium.make("acsar_gym/ObstacleGoal-v1", **arguments)
 
     return DummyVecEnv([make] * ROBOTS)
 
@@ -47,39 +47,40 @@ KINDS: Mapping[str, Callable[..., VecEnv]] = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_first_numbers_are_those_of_the_whole_observation(kind: str) -> None:
-    whole, short = KINDS[kind](), without_rays(KINDS[kind]())
+def test_without_rays_keeps_the_first_numbers(kind: str) -> None:
+    full_env = KINDS[kind]()
+    short = without_rays(KINDS[kind]())
     space: Any = short.observation_space
-    full: Any = whole.observation_space
+    full: Any = full_env.observation_space
     assert_array_equal(space.low, full.low[:KEPT])
     assert_array_equal(space.high, full.high[:KEPT])
-    for env in (whole, short):
+
+    for env in (full_env, short):
         env.seed(3)
-    seen, first = whole.reset(), short.reset()
-    ended = 0
+    assert_array_equal(short.reset(), np.asarray(full_env.reset())[:, :KEPT])
+    episodes = 0
+    actions = np.full((ROBOTS, 2), [0.6, 0.3], np.float32)
     for _ in range(30):
-        assert_array_equal(first, np.asarray(seen)[:, :KEPT])
-        actions = np.full((ROBOTS, 2), [0.6, 0.3], np.float32)
-        seen, rewards, dones, infos = whole.step(actions)
-        first, same, over, told = short.step(actions)
-        assert_array_equal(same, rewards)
-        assert_array_equal(over, dones)
+        observations, rewards, dones, infos = full_env.step(actions)
+        short_observations, *unchanged, short_infos = short.step(actions)
+        assert_array_equal(short_observations, np.asarray(observations)[:, :KEPT])
+        assert_array_equal(unchanged, [rewards, dones])
         for index in np.flatnonzero(dones):
             last = infos[index]["terminal_observation"]
-            assert_array_equal(told[index]["terminal_observation"], last[:KEPT])
-        ended += int(dones.sum())
-    assert ended >= ROBOTS
-    whole.close()
+            assert_array_equal(short_infos[index]["terminal_observation"], last[:KEPT])
+        episodes += int(dones.sum())
+    assert episodes >= ROBOTS
+    full_env.close()
     short.close()
 
 
-def test_robots_with_another_lidar_give_as_many_numbers() -> None:
+def test_without_rays_gives_as_many_numbers_for_another_lidar() -> None:
     env = without_rays(batch(robot=RobotConfig().with_(lidar={"rays": 90})))
     assert env.observation_space.shape == (KEPT,)
     env.close()
 
 
-def test_robots_without_a_map_are_refused() -> None:
+def test_without_rays_refuses_robots_without_a_map() -> None:
     env = sb3.make_batch("point_goal", 2)
     with pytest.raises(ConfigError, match="robots with a map and a LiDAR"):
         without_rays(env)

@@ -33,7 +33,8 @@ def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def read_rrd(path: Path) -> list[dict[str, dict[str, Column]]]:
     """Columns of each entity of each recording in a file."""
-    reader, recordings = RrdReader(path), []
+    reader = RrdReader(path)
+    recordings = []
     for entry in reader.recordings():
         entities: dict[str, dict[str, Column]] = defaultdict(lambda: defaultdict(list))
         for chunk in reader.stream(store=entry):
@@ -52,7 +53,7 @@ def seconds(column: Column) -> list[float]:
     return [time.total_seconds() for time in column]
 
 
-def test_what_was_driven_is_in_the_file(tape: Path, tmp_path: Path) -> None:
+def test_save_recording_writes_what_was_driven(tape: Path, tmp_path: Path) -> None:
     assert save_recording(tape, tmp_path / "tape.rrd") == 1
     (entities,) = read_rrd(tmp_path / "tape.rrd")
     (episode,) = read(tape).episodes
@@ -66,8 +67,9 @@ def test_what_was_driven_is_in_the_file(tape: Path, tmp_path: Path) -> None:
     sent = entities["/run/wheels/front_left/sent"]["scalars"]
     commands = episode.wire.commands(RobotConfig.of(None))[1]
     assert numbers(sent) == pytest.approx(commands[:, 1])
-    asked = entities["/run/command/angular/asked"]["scalars"]
-    assert numbers(asked) == pytest.approx(episode.asked[:, 1])
+    wanted = entities["/run/command/angular/asked"]["scalars"]
+    assert numbers(wanted) == pytest.approx(episode.asked[:, 1])
+
     assert len(entities["/run/scan"]["positions"]) == len(episode.scans.stamps)
     ends = [strip[0][-1] for strip in entities["/run/path"]["strips"]]
     assert ends[-1][:2] == pytest.approx(episode.poses[-1, :2], abs=0.011)
@@ -78,7 +80,7 @@ def test_what_was_driven_is_in_the_file(tape: Path, tmp_path: Path) -> None:
     assert "/run/lateness" not in {name for name in entities if entities[name]["scalars"]}
 
 
-def test_episodes_are_recordings_of_their_own_with_world_and_goal(tmp_path: Path) -> None:
+def test_save_recording_writes_each_episode_with_world_and_goal(tmp_path: Path) -> None:
     path = record_env(tmp_path / "env.mcap", "obstacle_goal", worlds="clutter:test")
     assert save_recording(path, tmp_path / "env.rrd") == 2
     names = []
@@ -90,25 +92,29 @@ def test_episodes_are_recordings_of_their_own_with_world_and_goal(tmp_path: Path
     assert sorted(names) == ["episode 1, seed 0", "episode 2, seed 1"]
 
 
-def test_movers_are_where_they_were_recorded(tmp_path: Path) -> None:
+def test_save_recording_writes_movers_where_they_were(tmp_path: Path) -> None:
     """As rings with a line ahead, in the frame of the odometry."""
     path = record_env(tmp_path / "env.mcap", "obstacle_goal", 1, worlds=HALL)
     save_recording(path, tmp_path / "env.rrd")
-    (entities,), (episode,) = read_rrd(tmp_path / "env.rrd"), read(path).episodes
-    movers, shown = episode.movers, entities["/run/movers"]
+    (entities,) = read_rrd(tmp_path / "env.rrd")
+    (episode,) = read(path).episodes
+    movers = episode.movers
+    shown = entities["/run/movers"]
     assert np.diff(seconds(shown["time"])) == pytest.approx(0.05, abs=0.011)
     row = int(np.argmin(np.abs(movers.stamps - episode.start - seconds(shown["time"])[20])))
     strips = [np.array(strip)[:, :2] for strip in shown["strips"][20]]
+
     start = tuple(episode.info["start"])
     assert len(strips) == 6
     for ring, line, state in zip(strips[:3], strips[3:], movers.states[row], strict=True):
         x, y, vx, vy, radius = state.tolist()
-        at, ahead = to_odometry(start, (x, y, 0.0)), to_odometry(start, (x + vx, y + vy, 0.0))
-        assert np.hypot(*(ring - at[:2]).T) == pytest.approx(radius, abs=1e-5)
-        assert line.ravel() == pytest.approx([*at[:2], *ahead[:2]], abs=1e-5)
+        place = to_odometry(start, (x, y, 0.0))[:2]
+        ahead = to_odometry(start, (x + vx, y + vy, 0.0))[:2]
+        assert np.hypot(*(ring - place).T) == pytest.approx(radius, abs=1e-5)
+        assert line.ravel() == pytest.approx([*place, *ahead], abs=1e-5)
 
 
-def test_a_drive_that_goes_on_is_shown_as_its_recording(tmp_path: Path) -> None:
+def test_rerun_sink_shows_a_drive_as_its_recording(tmp_path: Path) -> None:
     """The viewer gets the same from the recorder as from the file afterwards."""
     config = RobotConfig.of(None)
 
@@ -128,7 +134,7 @@ def test_a_drive_that_goes_on_is_shown_as_its_recording(tmp_path: Path) -> None:
         assert live[entity] == afterwards[entity]
 
 
-def test_a_viewer_that_fails_costs_no_recording(tmp_path: Path) -> None:
+def test_rerun_sink_that_fails_costs_no_recording(tmp_path: Path) -> None:
     def fail(stream: rerun.RecordingStream) -> None:
         raise RuntimeError("closed")
 
@@ -140,29 +146,30 @@ def test_a_viewer_that_fails_costs_no_recording(tmp_path: Path) -> None:
     assert not read(path).cut
 
 
-def test_a_viewer_that_does_not_start_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_viewer_explains_why_it_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ConfigError, match=r"the viewer doesn't start: .*--save FILE.rrd"):
         start_viewer()
 
 
-def test_what_happens_is_in_the_log(tape: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (part,) = read(tape).episodes
-    tables = part.tables
+def test_episode_logger_logs_what_happens(tape: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (episode,) = read(tape).episodes
+    tables = episode.tables
     tables["ticks"]["lateness"][10:13] = 0.05
     tables["ticks"]["reason"][20:] = 4
     tables["ticks"]["refused"][30:] = 2
     tables["ticks"]["exchange"][40:] += 3
     tables["exchanges"]["contact"][50] = 1.0
     tables["movers"] = np.zeros(3, TABLES["movers"])
-    tables["movers"]["stamp"] = part.start + np.array([0.2, 0.65, 0.7])
+    tables["movers"]["stamp"] = episode.start + np.array([0.2, 0.65, 0.7])
     tables["movers"]["hit"] = [0.0, 1.0, 1.0]
     tables["mover_states"] = np.tile([1.0, 0.0, 0.0, 0.0, 0.3], (3, 1, 1))
     fault = b"the cable is out"
-    tables["faults"] = np.array([(part.start + 0.9, len(fault))], TABLES["faults"])
+    tables["faults"] = np.array([(episode.start + 0.9, len(fault))], TABLES["faults"])
     tables["faults_bytes"] = np.frombuffer(fault, np.uint8)
-    assert log_texts(part, monkeypatch) == [
+
+    assert log_texts(episode, monkeypatch) == [
         "begins",
         "late: 3 ticks, at worst by 50.0 ms",
         "emergency stop: held",
@@ -174,17 +181,19 @@ def test_what_happens_is_in_the_log(tape: Path, monkeypatch: pytest.MonkeyPatch)
     ]
 
 
-def log_texts(part: Episode, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def log_texts(episode: Episode, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The log of an episode, in the order of time."""
     lines: list[tuple[float, str, str]] = []
     logger = EpisodeLogger(rerun.RecordingStream("test"), RobotConfig.of(None), {})
     monkeypatch.setattr(logger, "log_lines", lines.extend)
-    logger.log(part)
+    logger.log(episode)
     return [text for _, text, _ in sorted(lines)]
 
 
 @pytest.mark.parametrize("damage", ["", "no recording", "cut"])
-def test_what_cannot_be_shown_is_a_line(damage: str, tape: Path, tmp_path: Path) -> None:
+def test_save_recording_explains_what_cannot_be_shown(
+    damage: str, tape: Path, tmp_path: Path
+) -> None:
     path = tmp_path / "bad.mcap"
     path.write_bytes({"": b"", "no recording": b"x" * 99, "cut": tape.read_bytes()[:300]}[damage])
     with pytest.raises(ConfigError) as error:
@@ -194,6 +203,6 @@ def test_what_cannot_be_shown_is_a_line(damage: str, tape: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize("source", ["planar", "serial", "/dev/ttyX"])
-def test_a_link_is_no_recording(source: str) -> None:
+def test_find_recording_refuses_a_link(source: str) -> None:
     with pytest.raises(ConfigError, match=f"{source}: isn't a recording: drive with --view"):
         find_recording(source)

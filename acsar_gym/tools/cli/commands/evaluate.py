@@ -39,13 +39,13 @@ class PolicyOptions:
     """The policy."""
 
     policy: str = "point_goal"
-    """ONNX file, packaged policy, or Python function such as mine.py:act."""
+    """ONNX file, packaged, or mine.py:act."""
     trust: bool = False
     """Allow a stable-baselines3 zip, which can run code: only zips from people you trust."""
     env: EnvArg = ""
-    """Overrides the env that the policy names: barn, mine.module:mine/Task-v0."""
+    """Env, such as barn or mine:mine/Park-v0."""
     anyway: bool = False
-    """Drive a real robot of another size or speed than in the training."""
+    """Drive a robot that it wasn't trained for."""
 
     def load(self) -> FilePolicy:
         """Load the policy."""
@@ -65,11 +65,11 @@ class RobotOptions(RecordOptions):
     robot: RobotArg = None
     """Preset or config file."""
     lidar: LidarArg = None
-    """LiDAR on hardware: rplidar:///dev/ttyUSB1, ld06:///dev/ttyUSB1, module:Class."""
+    """LiDAR: ld06:///dev/ttyUSB1, module:Class."""
     late_share: float = 0.01
-    """Largest share of late ticks in a valid episode, on hardware."""
+    """Largest share of late ticks on hardware."""
     ros_args: RosArgs = ()
-    """Arguments of ROS, up to the end or to --: -r /tf:=/robot1/tf."""
+    """Arguments of ROS, as -r /tf:=/robot1/tf."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class EvaluationOptions(PageOptions, RobotOptions, PolicyOptions):
     seed: int = 0
     """Seed of the first episode. The next seeds count up."""
     worlds: Worlds = ()
-    """Instead of the test split: barn:1000-1099, ..., a file, or a folder."""
+    """barn:1000-1099, a file, a folder, ..."""
     difficulty: float | None = None
     """Difficulty of generated worlds, 0 to 1."""
     workers: Count = None
@@ -92,7 +92,7 @@ class EvaluationOptions(PageOptions, RobotOptions, PolicyOptions):
 def evaluate_policy(evaluation: EvaluationOptions) -> int:
     """Evaluate a policy over some episodes on any link, and print its metrics."""
     from acsar_gym.tools.evaluation import report, runs
-    from acsar_gym.worlds.sets import place_worlds
+    from acsar_gym.worlds.sets import name_sources
 
     evaluation.check()
     check_stoppable(evaluation.link)
@@ -107,7 +107,7 @@ def evaluate_policy(evaluation: EvaluationOptions) -> int:
         seeds,
         late_share=evaluation.late_share,
         workers=evaluation.workers,
-        worlds=place_worlds(evaluation.worlds, None, None),
+        worlds=name_sources(evaluation.worlds),
         difficulty=evaluation.difficulty,
         lidar=evaluation.lidar,
         record=recorder,

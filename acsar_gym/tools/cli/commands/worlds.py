@@ -94,10 +94,11 @@ def convert_world(
     """
     from acsar_gym.tools import atlas
     from acsar_gym.worlds import files
-    from acsar_gym.worlds.sets import place_worlds
 
     check_writable(out, mark="")  # people edit worlds
-    place = place_worlds([source], start, goal)
+    ends = {"start": start, "goal": goal}
+    placement = {name: text for name, text in ends.items() if text is not None}
+    place = {"path": source, **placement} if placement else source
     _, (world,) = atlas.collect_worlds(place, difficulty, robot, count=1, most=1)
     files.save_world(world, out)
     say(f"written: {out}")

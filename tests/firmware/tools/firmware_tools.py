@@ -15,8 +15,8 @@ from typing import Any
 from acsar_gym.protocol import Decoder, Speeds, encode
 from acsar_gym.resources import ASSETS
 
-HERE = Path(__file__).parent
-BUILD = HERE.parent / "build" / "firmware"
+ROOT = Path(__file__).resolve().parents[3]
+BUILD = ROOT / "build" / "firmware"
 CHIPS = ("atmega328p", "atmega2560")
 QUANTUM = 2.0 * math.pi / 1320 / 0.05
 """Speed of one encoder count in the feedback's window [rad/s]."""
@@ -25,7 +25,7 @@ Stamped = tuple[float, bytes]
 
 
 def missing() -> str:
-    """What isn't installed; empty if all is there."""
+    """What isn't installed. Empty if all is there."""
     if not shutil.which("avr-gcc"):
         return "avr-gcc (Debian: gcc-avr, avr-libc)"
     if not Path("/usr/include/simavr/sim_avr.h").exists() or not shutil.which("cc"):
@@ -35,7 +35,7 @@ def missing() -> str:
 
 def build() -> None:
     """Build the program for both chips, and the simulated board."""
-    for folder in (ASSETS / "firmware", HERE / "firmware" / "board"):
+    for folder in (ASSETS / "firmware", ROOT / "tests" / "firmware" / "board"):
         subprocess.run(
             ["make", "-s", "-C", str(folder), f"BUILD={BUILD}"], check=True, stdout=subprocess.PIPE
         )
@@ -47,7 +47,7 @@ def command(chip: str, elf: Path | None = None) -> tuple[str, ...]:
 
 
 def build_changed(folder: Path, chip: str, **changes: str) -> tuple[Path, str]:
-    """Build the program with other numbers in config.h; the ELF, and what the compiler says."""
+    """Build the program with other numbers in config.h. Returns the ELF and the warnings."""
     source = folder / "firmware"
     shutil.copytree(ASSETS / "firmware", source, dirs_exist_ok=True)
     config = source / "acsar" / "config.h"
@@ -114,7 +114,7 @@ class Ran:
         return self.events[-1]
 
     def feedback(self) -> list[tuple[float, Speeds]]:
-        """Time and speeds of each line; all lines are whole."""
+        """Time and speeds of each line. All lines are whole."""
         return decoded(self._sent())
 
     def notes(self) -> list[str]:
@@ -144,6 +144,6 @@ def decoded(chunks: Iterable[Stamped]) -> list[tuple[float, Speeds]]:
                 a, b, c, d = (speed for speed in reading.speeds if speed is not None)
                 yield time, (a, b, c, d)
 
-    found = list(lines())
+    waited = list(lines())
     assert not decoder.refused
-    return found
+    return waited

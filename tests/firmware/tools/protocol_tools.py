@@ -42,9 +42,9 @@ class Program:
         for byte in data:
             speeds = Four(*[UNTOLD] * 4)
             named = self._code.protocol_take(ctypes.byref(self._state), byte, speeds)
-            told = {motor: speeds[motor] for motor in range(4) if speeds[motor] != UNTOLD}
-            assert named == sum(1 << motor for motor in told)
-            lines += [told] if told else []
+            commanded = {motor: speeds[motor] for motor in range(4) if speeds[motor] != UNTOLD}
+            assert named == sum(1 << motor for motor in commanded)
+            lines += [commanded] if commanded else []
         return lines
 
     def line(self, speeds: Sequence[int], *, comma: bool) -> bytes:
