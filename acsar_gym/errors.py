@@ -192,7 +192,7 @@ class AcsarWarning(UserWarning):
 
 
 class SafetyWarning(AcsarWarning):
-    """The robot is driven without a protection. The message contains which one and what to do."""
+    """The robot is driven without a protection. The message names it and what to do."""
 
 
 class RecordingWarning(AcsarWarning):
@@ -284,7 +284,7 @@ def escape_unprintable(text: str, limit: int = 1_000) -> str:
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Suggest a name for an unknown one, for the end of an error message.
+    """Suggest a name for an unknown name, for the end of an error message.
 
     Returns:
         "; did you mean X?" with the most similar name, or "; known: ..." with all of them.

@@ -2,7 +2,7 @@
 
 Compiled code of this package is kept in one folder, whose name contains the version and a hash of
 the sources: numba itself notices a change of the file that contains a function, but not of the
-files whose functions are compiled into it. Compiled code of users' modules lies beside these.
+files whose functions are compiled into it. Compiled code of users' modules is in the same folder.
 """
 
 from __future__ import annotations
@@ -160,7 +160,7 @@ def _warn_once(message: str) -> None:
 
 
 def named_tuple(kind: Any, name: str, fields: tuple[str, ...]) -> Any:
-    """Make a class of named tuples as an attribute of a class, where numba's cache finds it."""
+    """Make a class of named tuples as an attribute of a class, so that numba's cache finds it."""
     with _NAMING:
         made: Any = vars(kind).get(name)
         if made is None or made._fields != fields:

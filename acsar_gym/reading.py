@@ -309,7 +309,7 @@ def import_object(what: str, name: str) -> Any:
 
 
 def object_name(kind: type | FunctionType) -> str | None:
-    """Return the "module:name" that imports a class or function. None for a local one."""
+    """Return the "module:name" that imports a class or function. None if it is local."""
     value: Any = sys.modules.get(kind.__module__)
     for word in kind.__qualname__.split("."):
         value = getattr(value, word, None)

@@ -21,7 +21,7 @@ IDS: dict[str, dict[str, Any]] = {
     "DynaBarn-v0": {"max_episode_steps": 1000},
     "PathFollow-v0": {"max_episode_steps": 400, "reward_threshold": 10.0},
 }
-"""What `gymnasium.register` gets for each id. The one place that knows their versions."""
+"""What `gymnasium.register` gets for each id. The only place that contains their versions."""
 
 
 @dataclass(frozen=True)

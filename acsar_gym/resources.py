@@ -48,10 +48,10 @@ def hash_modules(*modules: str) -> str:
     """Hash the sources of modules, and of the user's own modules that they import.
 
     Args:
-        *modules: Names of the modules.
+        *modules: Names of modules.
 
     Returns:
-        The hash. Empty where a module has no source file.
+        The hash. Empty if a module has no source file.
     """
     digest = hashlib.sha256()
     try:
@@ -64,9 +64,9 @@ def hash_modules(*modules: str) -> str:
 
 
 def _read_sources(first: str) -> dict[str, bytes]:
-    """Contents of a module and of all that it imports, directly or indirectly, by their names.
+    """Return the contents of a module and of all that it imports, by their names.
 
-    Python's own modules and this package's don't count. Of installed ones only their version.
+    Python's own modules and this package's don't count. Installed modules count by their version.
     """
     contents: dict[str, bytes] = {}
     waiting = [first]
@@ -98,7 +98,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
 
 
 def _source_file(name: str) -> Path | None:
-    """The source file of a module. None where there is none."""
+    """Return the source file of a module. None if it has none."""
     module = sys.modules.get(name)
     try:
         file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")

@@ -481,7 +481,7 @@ class Robot:
             self._observer.close()
 
     def __reduce__(self) -> tuple[type[Robot], tuple[Any, ...]]:
-        """Copies and pickles are inactive robots with a link and sensors of their own."""
+        """Copies and pickles are inactive robots with their own link and sensors."""
         return Robot, (self.link, self.config, tuple(self.sensors))
 
     def __enter__(self) -> Self:

@@ -144,7 +144,7 @@ class EmulatedBoard:
         An event has one of these keys:
 
         - "rx": bytes that clients have written
-        - "pose": where the robot really is, once a loop of the firmware, with "hit" if it touches
+        - "pose": true pose of the robot, once a loop of the firmware, with "hit" if it touches
           a mover, see `worlds.crowd`
         - "lost": time that wasn't simulated, because the computer was too busy [s]
         - "device": the path after the cable was pulled or plugged in
@@ -165,7 +165,7 @@ class EmulatedBoard:
         return _decode_speeds(self.received())
 
     def poses(self) -> list[tuple[float, float, float]]:
-        """Return where the robot really was, once a loop of the firmware [m, m, rad]."""
+        """Return the true poses of the robot, once a loop of the firmware [m, m, rad]."""
         return [tuple(event["pose"]) for event in self.events() if "pose" in event]
 
     def is_driven(self) -> bool:

@@ -62,22 +62,6 @@ def draw_worlds(worlds: Sequence[World], out: Path) -> None:
     top_view.save_picture(image, out)
 
 
-def describe_movers(worlds: Sequence[World]) -> str:
-    """Describe what moves in worlds, on one line. Empty if nothing does."""
-    movers = [mover for world in worlds for mover in world.movers]
-    if not movers:
-        return ""
-    counts = [len(world.movers) for world in worlds]
-    speeds = [mover.top_speed for mover in movers]
-    reacting = [mover for mover in movers if mover.reacts]
-    blind = sum(not mover.sees_robot for mover in reacting)
-    return (
-        f"movers: {min(counts)} to {max(counts)} in a world, top speeds {min(speeds):.2f} to "
-        f"{max(speeds):.2f} m/s; {len(reacting)} of {len(movers)} react, {blind} of these don't "
-        "see the robot"
-    )
-
-
 def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, Any]]:
     """Check whether a robot can cross each world, and measure path lengths.
 
@@ -109,7 +93,7 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, A
 
 
 def findings_table(source: str, findings: Sequence[Mapping[str, Any]]) -> Table:
-    """Format findings as a table with one row per world."""
+    """Format findings as a table with a row for each world."""
     rows = [
         {
             "world": finding["name"],

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import gc
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import MissingExtraError
+from acsar_gym.errors import check_extra
 from acsar_gym.tools.emulation.board import PATIENCE, run_emulator
 from acsar_gym.tools.evaluation import report, runs
 from acsar_gym.tools.evaluation.episode import odometry_errors
@@ -24,26 +23,32 @@ def run_demo(
 ) -> list[tuple[str, EvaluationRun]]:
     """Train a policy, then evaluate it in PyBullet and over a pseudo-terminal."""
     for module, extra in (("pybullet", "bullet"), ("onnxruntime", "deploy")):
-        if find_spec(module) is None:
-            raise MissingExtraError("the demo", extra)
+        check_extra("the demo", extra, module)
     require_training()
     console = report.SafeConsole()
-    log = out / "emulator.jsonl"
+
     console.rule("1. train PPO on simulated robots", align="left")
     with console.status("compiling, once after each installation: a minute"):
         warm_env("point_goal")
     policy_file = train_demo_policy(steps, out)
     policy = OnnxPolicy(policy_file)
     gc.freeze()  # keeps garbage collection short while the robot drives
+
     console.rule(f"2. drive {policy_file.name} in PyBullet", align="left")
     simulated = _drive(policy, "bullet", range(10_000, 10_000 + episodes), None)
+
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
+    log = out / "emulator.jsonl"
     with run_emulator("--body", "bullet", "--log", str(log)) as devices:
         robot = RobotConfig.of(None).with_(**PATIENCE)
         serial = _drive(policy, devices.robot, range(20_000, 20_000 + serial_episodes), robot)
     errors = odometry_errors(serial.results, log)
-    known = [replace(r, odometry_error=e) for r, e in zip(serial.results, errors, strict=True)]
-    return [("PyBullet", simulated), ("serial device (emulator)", replace(serial, results=known))]
+    pairs = zip(serial.results, errors, strict=True)
+    results = [replace(episode, odometry_error=error) for episode, error in pairs]
+    return [
+        ("PyBullet", simulated),
+        ("serial device (emulator)", replace(serial, results=results)),
+    ]
 
 
 def train_demo_policy(steps: int, out: Path) -> Path:

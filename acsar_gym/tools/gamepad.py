@@ -126,6 +126,7 @@ class Gamepad:
         self._path = path
         self._wait = 0
         self._device: InputDevice[str] | None = None
+
         paths = [path] if path else find_gamepads()
         if not paths:
             raise CommandError(

@@ -53,7 +53,7 @@ def run_jobs(
         jobs: Values that can be pickled.
         workers: Most jobs at a time. None means 1, and with an address as many as the cluster has
             CPUs.
-        address: Address of a Ray cluster: "local" starts one here. "auto", "host:port",
+        address: Address of a Ray cluster: "local" starts a cluster here. "auto", "host:port",
             "ray://host:port".
 
     Yields:
@@ -98,6 +98,7 @@ def _run_on_cluster(call: Any, jobs: Any, workers: int, address: str) -> Results
         remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(call.func)
         waiting = (remote.remote(*call.args, *job) for job in jobs)
         running = list(islice(waiting, workers))
+
         try:
             while running:
                 (done,), running = ray.wait(running, num_returns=1)
@@ -118,14 +119,15 @@ def _run_on_cluster(call: Any, jobs: Any, workers: int, address: str) -> Results
 def _run_job(function: Any, version: str, address: str | None, number: int, job: Any) -> Any:
     """Run a job in another process. Every error becomes an error that can be pickled."""
     if address is None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the first process, too
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the first process as well
     elif version != acsar_gym.__version__:
-        found = (
+        difference = (
             f"a machine of the cluster has acsar_gym {acsar_gym.__version__}, this has {version}"
         )
-        raise LinkError(found, "install the same version everywhere")
+        raise LinkError(difference, "install the same version everywhere")
     if number:  # the process of the first job reports already that it compiles
         logging.getLogger("acsar_gym.jit").setLevel(logging.ERROR)
+
     try:
         return number, function(job)
     except AcsarError:
@@ -161,8 +163,8 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
         _check_address(address)
         ray.init(address=address, **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        found = f"--address {show_value(address)}: {format_error(error)}"
-        raise LinkError(found, START_HINT) from error
+        problem = f"--address {show_value(address)}: {format_error(error)}"
+        raise LinkError(problem, START_HINT) from error
     try:
         yield ray
     finally:

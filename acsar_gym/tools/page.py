@@ -1,6 +1,6 @@
-"""The one HTML page of results, which `evaluate`, `benchmark` and `gap` write with `--html FILE`.
+"""The HTML page of results, which `evaluate`, `benchmark` and `gap` write with `--html FILE`.
 
-A page is a file of its own: plotly's script is in it, all text is escaped, and its content security
+A page is a single file: plotly's script is in it, all text is escaped, and its content security
 policy lets it load nothing.
 """
 
@@ -13,7 +13,7 @@ from typing import Any
 
 import acsar_gym
 from acsar_gym import reading
-from acsar_gym.errors import require_extra
+from acsar_gym.errors import check_extra
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,11 @@ class Section:
 
 def check_report_extra() -> None:
     """Check before a long run that a page can be made. MissingExtraError if not."""
-    with require_extra("an HTML page", "report"):
-        import jinja2  # noqa: F401, PLC0415 - optional
-        import plotly.offline  # noqa: F401, PLC0415 - optional
+    check_extra("an HTML page", "report", "jinja2", "plotly")
 
 
 def write_page(path: Path, title: str, sections: Sequence[Section]) -> None:
-    """Write results as one HTML file.
+    """Write results as an HTML file.
 
     Args:
         path: File to write. `reading.check_replaceable` accepts it again.

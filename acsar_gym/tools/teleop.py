@@ -70,7 +70,7 @@ def drive_keyboard(robot: Robot) -> None:
         raise CommandError(
             "no keyboard here: give a fixed twist with --linear and --angular, or --gamepad"
         )
-    # Only read keys; don't query the terminal.
+    # Only read keys, without queries to the terminal.
     terminal = Terminal(stream=screens[0], force_styling=None)
     keys = DriveKeys()
 

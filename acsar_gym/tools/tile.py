@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from acsar_gym.render.canvas import FINE_SCALE, LABEL_COLOUR, Canvas, Floats, View, load_font
+from acsar_gym.render.canvas import FINE_SCALE, LABEL_COLOUR, Canvas, Floats, View
 from acsar_gym.render.top_view import (
     GRID_COLOUR,
     MOVER_COLOUR,
@@ -25,6 +25,8 @@ from acsar_gym.worlds import Mover, Region, World
 
 TITLE_HEIGHT = 24
 """Height of a tile's title [pixels]."""
+MAX_TITLE = 28
+"""Longest title of a tile of 320 pixels [characters]."""
 WAY_POINTS = 9
 """Points of each piece of a mover's way."""
 
@@ -45,7 +47,7 @@ def draw_tile(world: World, size: int) -> RgbImage:
 
 
 def draw_motions(canvas: Canvas, world: World) -> None:
-    """Draw a world's movers where an episode starts, and thin lines where they go."""
+    """Draw a world's movers as an episode starts, and thin lines along their ways."""
     for mover in world.movers:
         canvas.line(trace_way(mover), (*MOVER_COLOUR, 130), 1.0)
     for mover in world.movers:
@@ -54,7 +56,7 @@ def draw_motions(canvas: Canvas, world: World) -> None:
 
 
 def trace_way(mover: Mover) -> Floats:
-    """Return points (N, 2) of where a motion leads [m]."""
+    """Return points (N, 2) of a mover's way [m]."""
     starts, x_cubic, y_cubic = np.split(mover.pieces, [1, 5], axis=1)
     lengths = np.diff(starts[:, 0], append=mover.duration)
     times = np.outer(lengths, np.linspace(0.0, 1.0, WAY_POINTS))
@@ -83,17 +85,5 @@ def draw_title(canvas: Canvas, title: str) -> None:
     canvas.pen.rectangle((0, 0, right, base), fill=LABEL_COLOUR[:3])
     canvas.pen.line((0, base, right, base), GRID_COLOUR, FINE_SCALE)
     canvas.pen.rectangle((0, 0, right, low), outline=GRID_COLOUR, width=FINE_SCALE)
-    length = canvas.scale_bar(TITLE_HEIGHT - 6.0, 0.2, PICTURE_INSET, right=True)
-    room = canvas.view.size[0] - length - 3.0 * PICTURE_INSET
-    place = (PICTURE_INSET, TITLE_HEIGHT / 2.0)
-    canvas.text(place, shorten_text(title, room), anchor="lm")
-
-
-def shorten_text(words: str, room: float) -> str:
-    """Shorten text to fit into `room` pixels, with an ellipsis."""
-    short = words
-    for length in range(len(words) - 1, -1, -1):
-        if load_font().getlength(short) <= FINE_SCALE * room:
-            break
-        short = words[:length] + "…"
-    return short
+    canvas.text((PICTURE_INSET, TITLE_HEIGHT / 2.0), title[:MAX_TITLE], anchor="lm")
+    canvas.scale_bar(TITLE_HEIGHT - 6.0, 0.2, PICTURE_INSET, right=True)

@@ -238,7 +238,7 @@ def test_driver_stops_by_its_services_and_a_refused_command(
     start_driver: StartDriver, client: Client, config: RobotConfig
 ) -> None:
     with emulated_board(config) as board:
-        start_driver("--link", board.device, "--without-estop")
+        start_driver("--link", board.device)
         joints = client.hear(JointState, "joint_states")
         odometry = client.hear(Odometry, "odom")
         diagnostics = client.hear(DiagnosticArray, "/diagnostics")
@@ -384,7 +384,7 @@ def test_watchdog_stops_the_wheels_if_the_node_hangs(
     command = (sys.executable, "-m", "acsar_gym", "ros", "driver", "--robot", str(file))
     with emulated_board(config) as board, contextlib.ExitStack() as stack:
         process = subprocess.Popen(
-            [*command, "--namespace", namespace, "--link", board.device, "--without-estop"],
+            [*command, "--namespace", namespace, "--link", board.device],
             stderr=write,
             stdout=subprocess.DEVNULL,
         )

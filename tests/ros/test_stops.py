@@ -65,7 +65,7 @@ def test_driver_ends_without_a_trace(
     node = ("acsar_driver", namespace)
     with emulated_board(config) as board:
         options = ("--robot", file, "--namespace", namespace, "--link", board.device)
-        driver = start_program("-c", HEEDING_CTRL_C, "ros", "driver", *options, "--without-estop")
+        driver = start_program("-c", HEEDING_CTRL_C, "ros", "driver", *options)
         joints = client.hear(JointState, "joint_states")
         client.wait(lambda: bool(joints.messages), "the driver")
         publisher = client.publisher(TwistStamped, "cmd_vel")

@@ -81,7 +81,7 @@ def test_a_killed_node_costs_no_result_of_a_benchmark(
                     cluster.kill(0)
                 yield result
 
-        monkeypatch.setattr(runner, "run_jobs", noticed)
+        monkeypatch.setattr(runner, "run_jobs", run_and_kill)
         results = runner.run_plan(plan, folders[1], address=cluster.address)
     assert [repr(result.episodes) for result in results.values()] == [
         repr(result.episodes) for result in expected.values()

@@ -18,7 +18,6 @@ from acsar_gym.render.top_view import GOAL_COLOUR, OBSTACLE_COLOUR, START_COLOUR
 from acsar_gym.tools import atlas
 from acsar_gym.tools.tile import TITLE_HEIGHT, draw_tile
 from acsar_gym.worlds import Region, World, files, generators
-from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.search import footprint_radius
 
 BARN = Path(__file__).parents[3] / "shared" / "barn"
@@ -46,21 +45,9 @@ def test_collect_worlds_makes_the_first_of_a_generator_and_not_too_many() -> Non
         atlas.collect_worlds("rooms:3", None, None, count=1, most=2)
 
 
-def test_describe_movers() -> None:
-    slow = walk([[0, 1], [2, 1]], 0.5)
-    fast = walk([[0, 2], [2, 2]], 1.5)
-    seeing = replace(slow, reacts=True, sees_robot=True)
-    blind = replace(fast, reacts=True, sees_robot=False)
-    assert atlas.describe_movers([World()]) == ""
-    assert atlas.describe_movers([World(movers=(slow, seeing, blind)), World()]) == (
-        "movers: 0 to 3 in a world, top speeds 0.50 to 1.50 m/s; 2 of 3 react, 1 of these don't "
-        "see the robot"
-    )
-
-
 def test_check_worlds_measures_paths() -> None:
     _, worlds = atlas.collect_worlds("barn:1", None, None, 1)
-    blocked = replace(worlds[0], name="blocked", goal=Region(100.0, 100.0))
+    blocked = World(np.array([[3.0, 0.0, 0.5]]), goal=Region(3.0, 0.0))
     clear, fault = atlas.check_worlds([worlds[0], blocked], None)
     assert clear["name"] == "barn 0"
     assert 10.0 <= clear["shortest"] <= clear["path"] + 1e-6
@@ -93,6 +80,7 @@ def test_draw_tile() -> None:
     turned = replace(COURT, start=Region(0.0, 0.0, 0.0, math.pi / 2))
     bare = World(goal=Region(3.0, 1.0), path=np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]]))
     tiles = [draw_tile(world, 200) for world in (COURT, turned, bare)]
+
     title = TITLE_HEIGHT
     inks = [(tile[4 : title - 4, 8:100].sum(axis=2) < 450).sum() for tile in tiles]
     assert inks[0] == inks[1] > 20
@@ -102,6 +90,7 @@ def test_draw_tile() -> None:
     assert np.ptp(blue[0], axis=0).argmax() == 1, "x is to the right"
     assert np.ptp(blue[1], axis=0).argmax() == 0, "y is up"
     assert blue[1].mean(axis=0)[0] < blue[0].mean(axis=0)[0] - 2, "it points up"
+
     walls = np.argwhere((tiles[0] == OBSTACLE_COLOUR).all(axis=2))[:, 0]
     assert walls.min() > title
     assert abs((walls.min() - title) - (199 - walls.max())) < 3, "it is centred below the title"

@@ -27,7 +27,7 @@ with run_emulator("--body", "planar"):
 
 
 def test_the_demo_fills_both_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Everything but the training is real; the policy that comes along takes its place."""
+    """Everything but the training is real. The policy that comes along takes its place."""
     policy = AGENTS / "policies" / "point_goal.onnx"
     monkeypatch.setattr(demo, "train_demo_policy", lambda *_: policy)
     done = demo.run_demo(steps=0, episodes=3, serial_episodes=1, out=tmp_path)
@@ -52,7 +52,7 @@ def test_the_emulator_ends_with_the_demo_even_if_it_is_killed() -> None:
 
 
 def has_ended(pid: int) -> bool:
-    """Whether a process that isn't ours is gone; not every container's init reaps zombies."""
+    """Whether a process that isn't ours is gone. Not every container's init reaps zombies."""
     try:
         return psutil.Process(pid).status() == psutil.STATUS_ZOMBIE
     except psutil.NoSuchProcess:

@@ -1,4 +1,4 @@
-"""Jobs in processes of this machine; tests/scale has the clusters."""
+"""Jobs in processes of this machine. Tests/scale has the clusters."""
 
 from __future__ import annotations
 
@@ -80,6 +80,7 @@ def test_run_jobs_ends_all_processes_upon_ctrl_c(tmp_path: Path) -> None:
         text=True,
         start_new_session=True,
     )
+
     while len(started := list(tmp_path.glob("start-*"))) < 2:
         assert running.poll() is None
         time.sleep(0.05)

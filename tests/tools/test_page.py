@@ -50,6 +50,7 @@ def test_a_page_loads_nothing_and_text_from_files_is_only_text(tmp_path: Path) -
     sections = [Section(EVIL, EVIL, Table([EVIL], [[EVIL]]), [figure]), Section("empty")]
     path = tmp_path / "page.html"
     write_page(path, EVIL, sections)
+
     html = path.read_text(encoding="utf-8")
     page = PageReader(html)
     assert page.loads == []

@@ -95,6 +95,7 @@ def test_drive_twist_stays_within_the_limits_and_stops(
     robot = Robot(open_link(emulator.device, config), config)
     with no_leak():
         teleop.drive_twist(robot, *twist, duration=0.5)
+
     assert not robot.active
     assert robot.odometry.pose[0] > 0.01
     status = capsys.readouterr().out
@@ -149,8 +150,9 @@ class Screen:
 @contextlib.contextmanager
 def open_screen(*arguments: str, program: Sequence[str] = CLI) -> Iterator[Screen]:
     master, slave = pty.openpty()
-    # Blessed asks the terminal what it can do; nobody is here to answer.
+    # Blessed asks the terminal for its features, and nobody is here to answer.
     env = {**os.environ, "TERM": "xterm", "BLESSED_QUERY_TIMEOUT_SECONDS": "0"}
+
     process = subprocess.Popen(
         [*program, "drive", *arguments],
         stdin=slave,
@@ -174,11 +176,11 @@ def screen(emulator: Emulated, robot_file: RobotFile) -> Iterator[Screen]:
 
 def hold(screen: Screen, key: str, emulator: Emulated, command: Command) -> None:
     """Keep a key down, as the terminal repeats it, until the board has what it commands."""
-    before = len(emulator.commands())
+    start = len(emulator.commands())
 
     def obeyed() -> bool:
         screen.press(key)
-        return command in emulator.commands()[before:]
+        return command in emulator.commands()[start:]
 
     wait_until(obeyed, f"what {key!r} commands")
 
@@ -200,6 +202,7 @@ def test_drive_keyboard(screen: Screen, emulator: Emulated, config: RobotConfig)
     faster = on_the_wire(config, 0.5 * config.max_linear, 0.0)
     for key, command in (("w", forward), ("5", ZERO), (ARROW_UP, faster), (" ", ZERO)):
         hold(screen, key, emulator, command)
+
     hold(screen, "w", emulator, faster)
     check_at_rest(emulator)  # the key was let go
     assert "EMERGENCY" not in screen.look()
@@ -263,11 +266,11 @@ def test_drive_gamepad_stops_in_the_tick_in_which_lb_is_let_go_or_the_cable_pull
     teleop.drive_gamepad(robot, str(pad.path))
     (episode,) = read(path).episodes
     full = (config.max_linear, 0.0)
-    left = (0.0, config.max_angular)
-    spans = ((0, 60, (0.0, 0.0)), (60, 160, full), (160, 200, (0.0, 0.0)), (200, 260, left))
-    for begin, end, twist in (*spans, (260, 400, (0.0, 0.0))):
-        assert set(map(tuple, episode.asked[begin:end].tolist())) == {twist}, begin
-        assert (episode.sent[begin:end] == 0.0).all() == (twist == (0.0, 0.0))
+    turn = (0.0, config.max_angular)
+    spans = ((0, 60, (0.0, 0.0)), (60, 160, full), (160, 200, (0.0, 0.0)), (200, 260, turn))
+    for start, end, twist in (*spans, (260, 400, (0.0, 0.0))):
+        assert set(map(tuple, episode.asked[start:end].tolist())) == {twist}, start
+        assert (episode.sent[start:end] == 0.0).all() == (twist == (0.0, 0.0))
         assert episode.sent[end - 1].tolist() == pytest.approx(twist)
     assert len(episode.asked) == 400
 
@@ -277,7 +280,7 @@ def test_drive_gamepad_on_real_wheels(
 ) -> None:
     options = ("--link", emulator.device, "--robot", str(robot_file()))
     fastest = on_the_wire(config, config.max_linear, 0.0)
-    stops: tuple[Callable[[], None], ...] = (lambda: pad.send(LET_GO + REST), pad.pull)
+    stops: tuple[Callable[[], object], ...] = (lambda: pad.send(LET_GO + REST), pad.pull)
     with open_screen(*options, "--gamepad", str(pad.path), program=WITH_PAD) as screen:
         wait_until(lambda: "feedback" in screen.look(), "the status line")
         for stop in stops:
@@ -310,6 +313,6 @@ def test_drive_gamepad_on_real_wheels(
 
 
 def last_line(screen: Screen) -> str:
-    """The newest status line that is whole; "EMERGENCY" as long as there is none."""
+    """The newest status line that is whole. "EMERGENCY" as long as there is none."""
     lines = screen.look().split("\r")
     return lines[-2] if len(lines) > 2 else "EMERGENCY"

@@ -1,4 +1,4 @@
-"""Policies that nobody trained, from the textbooks: floors that a learned policy must beat.
+"""Planners from the literature, which a learned policy should beat.
 
 `acsar-gym evaluate --policy dwa --env obstacle_goal`. docs/baselines.md describes each.
 """

@@ -1,4 +1,4 @@
-"""The base class of policies that nobody trained, and their constants in units of the robot.
+"""The base class of the baselines, and their constants in units of the robot.
 
 Lengths are in radii of the disc around the footprint, speeds in top speeds, and costs that compare
 ways are in seconds at top speed, so that a robot twice as large and four times as fast needs no
@@ -112,7 +112,7 @@ class BaselinePolicy(FilePolicy):
     """Its name in messages, and for `--policy`. By default the name of the class."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of the task's numbers that it needs."""
-    what: ClassVar[tuple[str, str]] = ("a goal", "point_goal")
+    needs_in_words: ClassVar[tuple[str, str]] = ("a goal", "point_goal")
     """What these are in words, and an env that has them."""
     lidar: ClassVar[bool] = False
     """Whether it needs a LiDAR."""
@@ -136,7 +136,9 @@ class BaselinePolicy(FilePolicy):
         Raises:
             PolicyError: the task doesn't observe what the policy needs.
         """
-        setting.need(self.name, (*self.needs, "linear_velocity", "angular_velocity"), *self.what)
+        setting.need(
+            self.name, (*self.needs, "linear_velocity", "angular_velocity"), *self.needs_in_words
+        )
         if self.lidar:
             setting.need(self.name, (), "a LiDAR", "obstacle_goal")
         self.equip(setting)

@@ -8,7 +8,7 @@ still stop before it touches anything. Among them the best is chosen by progress
 clearance. Progress is that along the way of the robot's map, as in the global dynamic window
 approach (Brock & Khatib, ICRA 1999), because the heading towards the goal alone ends in the first
 dead end. Arcs have the robot's acceleration limits and motor lag. If the robot tracks movers, the
-clearance of a pose is that from where they are by then.
+clearance of a pose is the distance from their places at that time.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ ANGULAR_SAMPLES = 25
 ARC_STEP = 0.05
 """Step of the predicted arcs [s]."""
 STILL_STEPS = 5
-"""After more decisions to stand still the robot turns to the way."""
+"""After more decisions to stay at rest the robot turns to the way."""
 ALIGNED_BEARING = 0.3
 """It turns until the bearing of the way is smaller than this [rad]."""
 
@@ -115,14 +115,14 @@ class ArcModel(NamedTuple):
     """The robot and the constants on arcs, in SI units."""
 
     acceleration: float
-    """Greatest linear acceleration [m/s^2], the angular one [rad/s^2], and the linear one of a full
-    stop [m/s^2]."""
+    """Greatest linear [m/s^2] and angular acceleration [rad/s^2], and deceleration of a full stop
+    [m/s^2]."""
     spin: float
     braking: float
     blend: float
     """Share of the difference to the command by which the twist changes in a step."""
     arc_steps: int
-    """Steps of an arc, of its turn, of holding a velocity, and until the robot stands at last."""
+    """Steps of an arc, of its turn, of holding a velocity, and until the robot is at rest."""
     turn_steps: int
     hold_steps: int
     stop_steps: int
@@ -190,7 +190,7 @@ class Dwa(MappedPolicy):
             movers=tracks,
         )
 
-        # The best velocity, unless none is admissible, or the robot stands still.
+        # The best velocity, unless none is admissible, or the robot is at rest.
         motion = Motion(*pose, seen.linear, seen.angular, *self.sent)
         scores = score_window(window, motion, self._model, around)
         best = int(scores.argmin())
@@ -235,7 +235,7 @@ class Dwa(MappedPolicy):
         return window
 
     def _escape(self, around: Surroundings, motion: Motion) -> tuple[float, float]:
-        """Back off slowly, or turn, to where there is more clearance. Nothing is admissible."""
+        """Back off slowly, or turn, towards more clearance, because no velocity is admissible."""
         units = self.units
         most_free = -1.0
         chosen = (0.0, 0.0)
@@ -308,7 +308,7 @@ def score_window(window: Floats, motion: Motion, model: ArcModel, around: Surrou
 def score_velocity(
     linear: float, angular: float, motion: Motion, model: ArcModel, around: Surroundings
 ) -> float:
-    """Score of one admissible velocity."""
+    """Score an admissible velocity."""
     cost = 0.0
     for step in range(model.arc_steps):
         turning = angular if step < model.turn_steps else 0.0
@@ -353,7 +353,7 @@ def can_stop(
 
 @loop
 def pose_clearance(x: float, y: float, theta: float, around: Surroundings, limit: float) -> float:
-    """Clearance of the footprint at a pose from what stands, at most `limit` [m]."""
+    """Clearance of the footprint at a pose from obstacles, at most `limit` [m]."""
     return points_clearance((x, y, theta), around.points, around.sides, around.outer, limit)
 
 

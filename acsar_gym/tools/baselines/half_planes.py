@@ -1,11 +1,11 @@
-"""Linear programmes of two variables: the velocity nearest to a wanted one within half planes.
+"""Linear programmes of two variables: velocities within half planes.
 
 The incremental algorithm of de Berg, Cheong, van Kreveld & Overmars, "Computational Geometry"
-(2008), chapter 4, and where the soft half planes leave nothing, the velocity that breaks the worst
+(2008), chapter 4, and if the soft half planes leave nothing, the velocity that breaks the worst
 of them least, as in section 5.3 of van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision
 avoidance" (ISRR 2011).
 
-A half plane is a row (a, b, c) with a^2 + b^2 = 1: the points where a x + b y >= c. The first BOX
+A half plane is a row (a, b, c) with a^2 + b^2 = 1: the points with a x + b y >= c. The first BOX
 of each programme bound x and y from both sides.
 """
 
@@ -59,7 +59,7 @@ def solve_programme(planes: Floats, hard: int, x: float, y: float) -> tuple[floa
         if c - a * best_x - b * best_y <= worst:
             continue
 
-        # Along the border of this half plane, as far within the soft ones before it as possible.
+        # Along its border, as far within the soft half planes before it as possible.
         count = min(hard, i)
         projected[:count] = planes[:count]
         for j in range(min(hard, i), i):

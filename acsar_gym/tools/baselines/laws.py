@@ -42,7 +42,7 @@ class PurePursuit(BaselinePolicy):
 
     name = "pure_pursuit"
     needs = PATH_NUMBERS
-    what = ("a path", "path_follow")
+    needs_in_words = ("a path", "path_follow")
 
     def act(self, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""

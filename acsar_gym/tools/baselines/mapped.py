@@ -99,7 +99,7 @@ class MappedPolicy(BaselinePolicy):
     """Drives along the way that the robot's map plans, around what the LiDAR sees and saw."""
 
     needs = GOAL_NUMBERS
-    what = ("a goal", "obstacle_goal")
+    needs_in_words = ("a goal", "obstacle_goal")
     lidar = True
     follows_movers: ClassVar[bool] = False
     """Whether it uses the tracks of the map."""
@@ -166,7 +166,7 @@ class MappedPolicy(BaselinePolicy):
         along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
         scan = (origin + ranges[:, None] * along)[ranges < config.lidar.max_range - 1e-3]
 
-        # The newest place of each cell; of cells that others have overwritten, their centres.
+        # The newest place of each cell. If another cell has overwritten it, the centre.
         side = self.map.cell_side
         i, j = (cells_of(scan, side) & LAST_CELL).T
         self._places[i, j] = scan

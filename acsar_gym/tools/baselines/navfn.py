@@ -2,8 +2,8 @@
 
 The plan is the way of the robot's map. The tracker is Macenski, Singh, Martin & Gines, "Regulated
 pure pursuit for robot path tracking", Autonomous Robots 47 (2023): pure pursuit whose speed is
-regulated by curvature and by the nearness of obstacles, which turns on the spot where the path
-begins elsewhere, and stops before a predicted collision.
+regulated by curvature and by the nearness of obstacles, which turns in place if the path
+starts elsewhere, and stops before a predicted collision.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class NavfnConstants:
 
 
 SPEED_SHARES = (1.0, 0.7, 0.5, 0.35, 0.2)
-"""Speeds that are tried if the regulated one leads to a collision, as shares of it."""
+"""Speeds that are tried if the regulated speed leads to a collision, as shares of it."""
 CHECK_SPACING = 0.4
 """Greatest distance between two checked poses of an arc [radius]."""
 

@@ -1,16 +1,16 @@
-"""Optimal reciprocal collision avoidance: half planes of velocities with which nobody is met.
+"""Optimal reciprocal collision avoidance: half planes of velocities that meet no mover.
 
 Van den Berg, Guy, Lin & Manocha, "Reciprocal n-body collision avoidance", ISRR 2011. A mover
 forbids the velocities with which the robot would meet it within a horizon if it kept its own. The
 robot keeps to a half plane without them, and chooses the velocity within all half planes that is
-nearest to the one along the way of its map. What stands forbids velocities with which the nearest
+nearest to the velocity along the way of its map. Obstacles forbid velocities with which the nearest
 place of the exact footprint would reach it within a shorter horizon. These half planes hold in any
 case.
 
 A robot that can't move sideways turns towards that velocity within a disc that has a margin for the
 difference, as in Alonso-Mora et al., "Optimal reciprocal collision avoidance for multiple
-non-holonomic robots", DARS 2010. Its speed is the one along its heading that the half planes leave.
-Everything is seen from where the robot will be when a command takes effect.
+non-holonomic robots", DARS 2010. Its speed is what the half planes leave along its heading.
+The frame is that of the robot when a command takes effect.
 """
 
 from __future__ import annotations
@@ -54,13 +54,13 @@ class OrcaConstants:
     horizon: float = 2.0
     """Movers that would be met later don't count [s]."""
     wall_horizon: float = 0.5
-    """What stands isn't reached sooner [s]."""
+    """Obstacles aren't reached sooner [s]."""
     share: float = 1.0
     """Share of the avoidance that the robot takes: 0.5 if others take the rest."""
     mover_margin: float = 0.2
     """Margin of the disc around the footprint [radius]."""
     wall_margin: float = 0.1
-    """Least clearance from what stands [radius]."""
+    """Least clearance from obstacles [radius]."""
     lookahead: float = 3.0
     """Distance along the way of the point that the robot heads for [radius]."""
     delay: float = 1.5
@@ -90,7 +90,7 @@ class VelocityModel(NamedTuple):
 
 
 class Orca(MappedPolicy):
-    """Chooses the velocity nearest to the wanted one that meets nobody, from tracks of movers."""
+    """Chooses the velocity nearest to the wanted velocity that meets none of the tracked movers."""
 
     name = "orca"
     follows_movers = True
@@ -129,7 +129,7 @@ class Orca(MappedPolicy):
         movers = np.column_stack([to_base(pose_then, moved), rates, tracks[:, RADIUS]])
         planes, walls = list_planes(speed, points, movers, self._model, self._footprint)
 
-        # The velocity within them that is nearest to the one along the way.
+        # The velocity within them that is nearest to the velocity along the way.
         make_box((-units.speed, units.speed), (-units.speed, units.speed), planes)
         carrot = np.array([self.map.point_ahead(k.lookahead * units.radius)])
         ((x, y),) = to_base(pose_then, carrot).tolist()
@@ -224,7 +224,7 @@ def list_planes(
 
     Args:
         speed: Speed of the robot [m/s].
-        points: (n, 2): what stands [m].
+        points: (n, 2): obstacles [m].
         movers: (m, 5): x, y [m], their rates [m/s], and radius [m].
         model: The constants.
         footprint: Footprint of the robot.

@@ -39,10 +39,7 @@ Every command has its own --help. --version prints the version."""
 FORMAT_WARNING = warnings.formatwarning
 
 # In the order in which `acsar-gym --help` lists their commands.
-for module in (
-    *("demo", "emulate", "doctor", "identify", "calibrate", "drive", "train", "evaluate"),
-    *("policy", "benchmark", "record", "view", "gap", "worlds", "ros"),
-):
+for module in ("policies", "robots", "fitting", "recordings", "worlds", "ros"):
     importlib.import_module(f"acsar_gym.tools.cli.commands.{module}")
 
 
@@ -74,7 +71,7 @@ def find_name(words: list[str]) -> str:
 
 
 def join_ros_arguments(words: list[str]) -> list[str]:
-    """Return a command line in which ROS's words, from "--ros-args" to "--", are one last word.
+    """Join ROS's words, from "--ros-args" to "--", to the last word of a command line.
 
     They begin with dashes as well, and ROS's launch writes them in several places.
     """
@@ -94,7 +91,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # escape what can't be encoded
             stream.reconfigure(errors="backslashreplace")
-    warnings.formatwarning = _format_warning
+    warnings.formatwarning = _format_warning  # type: ignore[assignment]
     if "" not in sys.path:
         sys.path.append("")  # a user's modules are in the current folder
 
@@ -116,10 +113,11 @@ def _format_warning(message: Warning | str, category: type[Warning], *place: Any
 
 def _run_words(words: list[str], *, drives: bool) -> int:
     """Run the command of a command line. Returns its exit code."""
+    if words == ["--version"]:
+        print(f"acsar-gym {acsar_gym.__version__}")
+        return 0
+
     try:
-        if words == ["--version"]:
-            print(f"acsar-gym {acsar_gym.__version__}")
-            return 0
         return int(parse_command(words))
     except AcsarError as error:
         print_error(f"acsar-gym: {escape_unprintable(str(error))}")

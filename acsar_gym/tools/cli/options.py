@@ -151,7 +151,7 @@ def _single_keys() -> Iterator[Callable[[float], bool]]:
         import termios
         import tty
     except ImportError:  # on Windows, only Ctrl-C cancels
-        yield lambda wait: bool(time.sleep(wait))
+        yield _sleep
         return
     number = sys.stdin.fileno()
     settings = termios.tcgetattr(number)
@@ -163,13 +163,17 @@ def _single_keys() -> Iterator[Callable[[float], bool]]:
         print(flush=True)
 
 
+def _sleep(seconds: float) -> bool:
+    time.sleep(seconds)
+    return False
+
+
 @dataclass(frozen=True)
 class RecordOptions:
     """Recording and viewer."""
 
     record: File = None
-    """Record to this MCAP file, for ROS 2, Foxglove and --link replay:FILE. An older recording of
-    that name is kept, as FILE.1.mcap."""
+    """Record to this MCAP file. An older recording is kept, as FILE.1.mcap."""
     view: bool = False
     """Show the drive in Rerun's viewer."""
 

@@ -29,7 +29,7 @@ def draw_planes(rng: np.random.Generator, count: int, centre: float) -> Floats:
 
 
 @pytest.mark.parametrize(
-    ("rows", "wanted", "found"),
+    ("rows", "wanted", "nearest"),
     [
         ([], (0.3, -0.2), (0.3, -0.2)),
         ([], (2.0, 0.5), (1.0, 0.5)),
@@ -38,27 +38,31 @@ def draw_planes(rng: np.random.Generator, count: int, centre: float) -> Floats:
         ([(-1, -1, 0)], (0.5, 0.5), (0.0, 0.0)),
     ],
 )
-def test_the_nearest_point_within_half_planes(
-    rows: list[tuple[float, float, float]], wanted: tuple[float, float], found: tuple[float, float]
+def test_solve_programme_finds_the_nearest_point(
+    rows: list[tuple[float, float, float]],
+    wanted: tuple[float, float],
+    nearest: tuple[float, float],
 ) -> None:
     planes = box_and(*rows)
-    assert solve_programme(planes, len(planes), *wanted) == pytest.approx(found)
+    assert solve_programme(planes, len(planes), *wanted) == pytest.approx(nearest)
 
 
-def test_where_nothing_is_left_the_worst_is_broken_least() -> None:
+def test_solve_programme_breaks_the_worst_half_plane_least() -> None:
     """The least distance from the worst half plane is a linear programme of three variables."""
-    rng, empty = np.random.default_rng(1), 0
+    rng = np.random.default_rng(1)
+    empty = 0
+
     for _ in range(200):
         planes = draw_planes(rng, 5, 0.2)
         hard = BOX + 1
         x, y = solve_programme(planes, hard, 0.0, 0.0)
         slack = (np.arange(len(planes)) >= hard).astype(float)[:, None]
-        said = linprog(
+        best = linprog(
             [0, 0, 1], -np.hstack([planes[:, :2], slack]), -planes[:, 2], bounds=(None, None)
         )
-        if said.fun is not None and said.fun > 1e-6:
+        if best.fun is not None and best.fun > 1e-6:
             broken = planes[:, 2] - planes[:, :2] @ (x, y)
             assert broken[:hard].max() < 1e-9
-            assert broken[hard:].max() == pytest.approx(said.fun, abs=1e-6)
+            assert broken[hard:].max() == pytest.approx(best.fun, abs=1e-6)
             empty += 1
     assert empty > 20

@@ -24,7 +24,8 @@ AHEAD = np.column_stack([0.25 * np.arange(1, 5), np.zeros(4)])
 def equipped(name: str) -> BaselinePolicy:
     """A baseline for the default robot, at 10 Hz."""
     policy = baselines.load_baseline(name, "acsar_gym/ObstacleGoal-v1")
-    policy.equip(PolicyContext(CONFIG, "a task", 0.1, 0.3, {}, 10.0, None))
+    setting = PolicyContext(CONFIG, "a task", 0.1, 0.3, {}, scale=10.0, rays=None)
+    policy.equip(setting)
     return policy
 
 
@@ -46,12 +47,12 @@ def path_seen(
     ("bearing", "wanted"),
     [(0.0, (0.5, 0.0)), (0.2, (0.5, 0.5)), (3.0, (0.0, 7.5)), (-3.0, (0.0, -7.5))],
 )
-def test_a_goal_is_turned_to_then_driven_to(bearing: float, wanted: tuple[float, float]) -> None:
-    seen = DecodedObservation(linear=0.0, angular=0.0, distance=2.0, bearing=bearing)
-    assert equipped("turn_drive").act(seen) == pytest.approx(wanted)
+def test_turn_drive(bearing: float, wanted: tuple[float, float]) -> None:
+    observation = DecodedObservation(linear=0.0, angular=0.0, distance=2.0, bearing=bearing)
+    assert equipped("turn_drive").act(observation) == pytest.approx(wanted)
 
 
-def test_a_straight_path_is_followed_straight_and_steered_back_to() -> None:
+def test_pure_pursuit_of_a_straight_path() -> None:
     policy = equipped("pure_pursuit")
     assert policy.act(path_seen(AHEAD)) == pytest.approx((CONFIG.max_linear, 0.0))
     linear, angular = policy.act(path_seen(AHEAD - (0.0, 0.1), cross_track=0.1))
@@ -59,7 +60,7 @@ def test_a_straight_path_is_followed_straight_and_steered_back_to() -> None:
     assert angular < -0.1
 
 
-def test_a_baseline_is_evaluated_by_its_name() -> None:
+def test_load_policy_takes_a_baselines_name() -> None:
     policy = runs.load_policy("turn_drive", trust=False, env="point_goal")
     run = runs.evaluate_policy(policy, "planar", None, range(3))
     assert run.summary.success_rate == 1.0
@@ -68,7 +69,7 @@ def test_a_baseline_is_evaluated_by_its_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "env", "said"),
+    ("name", "env", "message"),
     [
         (
             "nosuch",
@@ -81,13 +82,15 @@ def test_a_baseline_is_evaluated_by_its_name() -> None:
         ("turn_drive", "path_follow", "needs a goal"),
     ],
 )
-def test_what_it_cant_drive_is_told(name: str, env: str, said: str) -> None:
-    with pytest.raises(PolicyError, match=said):
+def test_baselines_report_what_they_cant_drive(name: str, env: str, message: str) -> None:
+    with pytest.raises(PolicyError, match=message):
         policy = runs.load_policy(name, trust=False, env=env)
         runs.evaluate_policy(policy, "planar", None, range(1))
 
 
-def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_is_baseline_prefers_a_file_of_that_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert baselines.is_baseline("dwa")
     Path("dwa").write_text("not a policy")
@@ -105,14 +108,14 @@ def test_a_file_of_that_name_comes_first(tmp_path: Path, monkeypatch: pytest.Mon
         ("mine/Task-v0", JACKAL, None),
     ],
 )
-def test_what_was_found_is_for_one_id_and_robots_of_one_shape_and_speed(
+def test_find_constants_for_an_id_and_robots_of_a_shape_and_speed(
     env_id: str, robot: RobotConfig, share: float | None
 ) -> None:
     assert find_constants("navfn", env_id, robot).get("turn_share") == share
 
 
 @pytest.mark.parametrize("name", list(read_constants()))
-def test_every_entry_is_of_known_constants_and_presets(name: str) -> None:
+def test_read_constants_of_existing_planners_and_presets(name: str) -> None:
     kind = baselines.load_baseline(name, "x/Y-v0").constants_type
     assert kind is not None
     for robots in read_constants()[name].values():

@@ -30,12 +30,14 @@ MODEL = VelocityModel(
 def meets(velocity: tuple[float, float], mover: Any) -> bool:
     """Whether the disc of MODEL meets a mover within the horizon, on a fine grid of times."""
     times = np.linspace(0.0, MODEL.horizon, 4001)[:, None]
-    apart = mover[:2] + times * (mover[2:4] - np.array(velocity))
-    return bool(np.hypot(*apart.T).min() < MODEL.radius + mover[4] - 1e-3)
+    offsets = mover[:2] + times * (mover[2:4] - np.array(velocity))
+    return bool(np.hypot(*offsets.T).min() < MODEL.radius + mover[4] - 1e-3)
 
 
-def test_no_velocity_of_the_half_plane_meets_the_mover() -> None:
-    rng, met = np.random.default_rng(0), 0
+def test_forbid_meeting_leaves_no_velocity_that_meets_the_mover() -> None:
+    rng = np.random.default_rng(0)
+    met = 0
+
     for _ in range(300):
         mover = np.array([*rng.uniform(-2.0, 2.0, 2), *rng.uniform(-1.0, 1.0, 2), 0.25])
         if math.hypot(*mover[:2]) < MODEL.radius + mover[4] + 0.05:
@@ -52,7 +54,7 @@ def test_no_velocity_of_the_half_plane_meets_the_mover() -> None:
     assert met > 100
 
 
-def test_what_stands_is_reached_by_the_footprint_no_sooner_than_the_horizon() -> None:
+def test_list_planes_of_what_stands() -> None:
     """The bumper is 0.17 m ahead: a wall at 0.52 m leaves 0.3 m with the margin."""
     footprint = make_surroundings(None, None, CONFIG)
     points = np.array([[0.52, 0.0], [0.52, 0.1], [-0.2, 0.0]])

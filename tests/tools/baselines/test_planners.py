@@ -29,12 +29,12 @@ def drive(name: str, goal: tuple[float, float], *walls: list[float], steps: int 
     segments = np.array(walls).reshape(-1, 4)
     world = World(segments=segments, start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(*goal))
     env = runs.make_env(policy, "planar", None, {"worlds": world})
-    seen, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     policy.reset()
     actions = []
     for _ in range(steps):
-        actions.append(policy(seen))
-        seen, *_ = env.step(actions[-1])
+        actions.append(policy(observation))
+        observation, *_ = env.step(actions[-1])
     env.close()
     return np.array(actions) * (CONFIG.max_linear, CONFIG.max_angular)
 
@@ -50,7 +50,7 @@ def drive(name: str, goal: tuple[float, float], *walls: list[float], steps: int 
         ((0.23, 0.0), math.pi / 4.0, 0.0),
     ],
 )
-def test_clearance_is_the_distance_of_the_rectangle(
+def test_points_clearance_of_the_rectangle(
     point: tuple[float, float], turned: float, wanted: float
 ) -> None:
     outer = math.hypot(*BOX[0])
@@ -59,30 +59,31 @@ def test_clearance_is_the_distance_of_the_rectangle(
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-def test_a_goal_ahead_is_driven_to_straight(name: str) -> None:
+def test_planners_drive_straight_to_a_goal_ahead(name: str) -> None:
     linear, angular = drive(name, (3.0, 0.0))[-1]
     assert linear > 0.8 * CONFIG.max_linear
     assert abs(angular) < 0.3
 
 
 @pytest.mark.parametrize("name", PLANNERS)
-def test_it_doesnt_drive_into_a_wall_that_hides_the_goal(name: str) -> None:
-    """The wall is 9 cm ahead of the bumper; its ends are 1 m to the sides."""
+def test_planners_dont_drive_into_a_wall_that_hides_the_goal(name: str) -> None:
+    """The wall is 9 cm ahead of the bumper. Its ends are 1 m to the sides."""
     driven = drive(name, (2.0, 0.0), [0.26, -1.0, 0.26, 1.0], steps=3)
     assert driven[:, 0].max() < 0.1
 
 
-def test_what_was_seen_is_remembered_and_the_scan_counts_once() -> None:
+def test_obstacles_are_remembered() -> None:
     """A wall to the left, which the robot turns away from: a LiDAR that sees ahead alone."""
     policy: Any = runs.load_policy("navfn", trust=False, env="obstacle_goal")
     wall = np.array([[1.0, -0.5, 1.0, 0.5]])
     world = World(segments=wall, start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(-2.0, 0.0))
     robot = CONFIG.with_(lidar={"rays": 61, "field_of_view": math.pi / 2.0})
     env = runs.make_env(policy, "planar", robot, {"worlds": world})
-    seen, _ = env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     for _ in range(20):
-        seen, *_ = env.step(np.array([0.0, 1.0], np.float32))
-    decoded = policy.setting.seen(seen)
+        observation, *_ = env.step(np.array([0.0, 1.0], np.float32))
+
+    decoded = policy.setting.seen(observation)
     assert (decoded.ranges < 1.2).sum() == 0
     points = policy.obstacles(policy.map.pose, decoded, 2.0)
     assert len(points) > 5
@@ -98,23 +99,23 @@ def cross(name: str) -> Any:
     world = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0), movers=movers)
     policy = runs.load_policy(name, trust=False, env="obstacle_goal")
     env = runs.make_env(policy, "planar", "jackal", {"worlds": world})
-    seen, info = env.reset(seed=0)
+    observation, info = env.reset(seed=0)
     policy.reset()
     done = False
     while not done:
-        seen, _, terminated, truncated, info = env.step(policy(seen))
+        observation, _, terminated, truncated, info = env.step(policy(observation))
         done = terminated or truncated
     env.close()
     return info
 
 
 @pytest.mark.parametrize("name", ["dwa_movers", "orca", *baselines.PRIVILEGED_BASELINES])
-def test_walkers_who_cross_are_let_pass(name: str) -> None:
+def test_planners_let_walkers_pass(name: str) -> None:
     assert cross(name)["is_success"] == 1.0
 
 
 @pytest.mark.parametrize("name", baselines.PRIVILEGED_BASELINES)
-def test_what_knows_the_truth_needs_a_simulator_and_says_so(name: str) -> None:
+def test_privileged_baselines_need_a_simulator(name: str) -> None:
     policy: Any = runs.load_policy(name, trust=False, env="obstacle_goal")
     real = SimpleNamespace(robot=SimpleNamespace(link=SimpleNamespace(truth=None)))
     with pytest.raises(PolicyError, match="knows what only a simulator does"):
@@ -126,7 +127,7 @@ def test_what_knows_the_truth_needs_a_simulator_and_says_so(name: str) -> None:
     assert "knows what only a simulator does" in done.notes[0]
 
 
-def test_scans_of_a_mover_arent_obstacles() -> None:
+def test_obstacles_without_scans_of_a_mover() -> None:
     policy: Any = runs.load_policy("dwa_movers", trust=False, env="obstacle_goal")
     world = World(
         np.array([[1.0, 1.0, 0.2]]),
@@ -135,20 +136,23 @@ def test_scans_of_a_mover_arent_obstacles() -> None:
         movers=(walk([[1.5, -0.5]]),),
     )
     env = runs.make_env(policy, "planar", None, {"worlds": world})
-    seen, _ = env.reset(seed=0)
-    decoded = policy.setting.seen(seen)
+    observation, _ = env.reset(seed=0)
+
+    decoded = policy.setting.seen(observation)
     every = policy.obstacles(policy.map.pose, decoded, 3.0)
-    others = policy.obstacles(policy.map.pose, decoded, 3.0, np.array([[1.5, -0.5, 0, 0, 0.25]]))
-    apart = np.hypot(*(every - (1.5, -0.5)).T)
-    assert 0 < len(others) < len(every)
-    assert len(others) == (apart > 0.4).sum()
+    without_mover = policy.obstacles(
+        policy.map.pose, decoded, 3.0, np.array([[1.5, -0.5, 0, 0, 0.25]])
+    )
+    distances = np.hypot(*(every - (1.5, -0.5)).T)
+    assert 0 < len(without_mover) < len(every)
+    assert len(without_mover) == (distances > 0.4).sum()
     env.close()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANNERS)
 @pytest.mark.parametrize("env", ["obstacle_goal", "barn"])
-def test_unseen_worlds_are_crossed(name: str, env: str) -> None:
+def test_planners_cross_unseen_worlds(name: str, env: str) -> None:
     policy = runs.load_policy(name, trust=False, env=env)
     done = runs.evaluate_policy(policy, "planar", None, range(10))
     assert done.summary.success_rate >= 0.8

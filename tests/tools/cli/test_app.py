@@ -157,22 +157,24 @@ def test_bags_are_read_as_recordings(call: Call, tmp_path: Path) -> None:
     tape = drive(tmp_path / "tape.mcap", RobotConfig.preset("acsar"), 600)
     topics = {"/joint_states": "/joint_states", "/cmd_vel_sent": "/cmd_vel", "/scan": "/scan"}
     bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, topics))
-    for command, result in (
+    results: list[tuple[tuple[str | Path, ...], str]] = [
         (("record", "info", bag), "1 episode, 6.0 s"),
         (("record", "export", bag, "--to", "csv"), "ticks.csv"),
         (("gap", bag), "1 held-out episode"),
         (("identify", "--from", bag), "motor.time_constant"),
-    ):
+    ]
+    for command, result in results:
         code, out, error = call(*command, "--robot", "acsar")
         assert (code, error) == (0, "")
         assert result in out
     assert (tmp_path / "bag" / "ticks.csv").exists()
 
-    for command, message in (
+    errors: list[tuple[tuple[str | Path, ...], str]] = [
         (("record", "info", bag), "is a ROS 2 bag: name its robot with --robot PRESET|FILE"),
         (("identify", "planar", "--from", bag), "--from: give a device, or recordings with --from"),
         (("gap", tape, "--robot", "acsar", "--topics", "/robot1"), "--topics is for ROS 2 bags"),
-    ):
+    ]
+    for command, message in errors:
         code, _, error = call(*command)
         assert code == 2
         assert_one_line(error, message)

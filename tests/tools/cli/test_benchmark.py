@@ -90,7 +90,6 @@ def write_task(module: str, worlds: str = "", options: str = "") -> str:
     ("worlds", "options", "expected"),
     [
         ("", "", {"test": ("acsar", "", 2**33, "success")}),
-        ('worlds = "rooms:train"', "", {"test": ("acsar", "rooms", 100_000, "success")}),
         (
             "",
             ", scenes={'a': {'robots': ['jackal'], 'score': 'stars'}, 'b': {'worlds': 'rooms'}}",

@@ -117,30 +117,6 @@ def dead_wheel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
     emulated.end()
 
 
-@pytest.mark.parametrize(
-    ("quirk", "twist", "message"),
-    [
-        ("runaway=a", ("--linear", "0.05"), "front_right turns too fast"),
-        # The wheel check's tests know the wheel; here late lines may make it too slow instead.
-        ("swapped-encoders", ("--linear", "0.4", "--angular", "1.2"), "rad/s commanded"),
-    ],
-)
-def test_drive_ends_on_boards_that_the_robots_file_cannot_correct(
-    quirk: str,
-    twist: tuple[str, ...],
-    message: str,
-    start_emulator: StartEmulator,
-    robot_file: RobotFile,
-    call: Call,
-) -> None:
-    emulated = start_emulator("--quirk", quirk)
-    robot = robot_file(wheels={"a": {"sign": -1}} if "runaway" in quirk else {})
-    code, _, error = call("drive", "--link", emulated.device, *twist, "--robot", robot)
-    assert code == 3
-    assert_one_line(error, message)
-    wait_until(emulated.is_stopped, "zero as the newest command")
-
-
 def test_evaluate_counts_faults(
     dead_wheel: Emulated, robot_file: RobotFile, call: Call, tmp_path: Path
 ) -> None:
@@ -154,14 +130,6 @@ def test_evaluate_counts_faults(
     data = json.loads(file.read_text())
     assert (data["fault_rate"], data["timeout_rate"]) == (1.0, 0.0)
     assert fault in data["per_episode"][0]["fault"]
-
-
-def test_drive_without_the_wheel_check(
-    dead_wheel: Emulated, robot_file: RobotFile, call: Call
-) -> None:
-    robot = robot_file(wheel_check=False)
-    twist = ("--linear", "0.2", "--duration", "1")
-    assert call("drive", "--link", dead_wheel.device, *twist, "--robot", robot)[::2] == (0, "")
 
 
 def test_a_board_that_echoes_is_refused_in_one_line(

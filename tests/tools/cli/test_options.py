@@ -32,6 +32,7 @@ def count_down(seconds: str, keys: bytes) -> str:
     """Return the output of a countdown on a terminal while keys are pressed."""
     terminal, child_terminal = pty.openpty()
     command = [sys.executable, "-c", COUNTING, seconds]
+
     with subprocess.Popen(
         command, stdin=child_terminal, stdout=subprocess.PIPE, text=True
     ) as process:

@@ -72,7 +72,7 @@ def test_run_writes_json_after_a_stop(end_early: Any, call: Call, tmp_path: Path
 
 
 def test_evaluate_counts_a_fault_and_no_time_out(
-    call: Call, monkeypatch: pytest.MonkeyPatch
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     make_env = runs.make_env
 
@@ -80,12 +80,15 @@ def test_evaluate_counts_a_fault_and_no_time_out(
         return make_env(policy, FailingLink(open_link(link, robot), 0.2), robot, options)
 
     monkeypatch.setattr(runs, "make_env", make_failing)
-    status, out, error = call(*EVALUATE)
+    file = tmp_path / "figures.json"
+    status, out, error = call(*EVALUATE, "--json", file)
     assert status == 3
     assert_one_line(error, "unplugged")
     assert re.search(r"fault \[%\] +│ +100\.0 ", out)
     assert re.search(r"time-out \[%\] +│ +0\.0 ", out)
     assert "Faults: " in out
+    data = json.loads(file.read_text())
+    assert (data["fault_rate"], data["timeout_rate"]) == (1.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -122,10 +125,10 @@ def test_run_drives_to_goals_beyond_the_training_with_goal_distance(
     call: Call, tmp_path: Path
 ) -> None:
     file = tmp_path / "figures.json"
-    far = ("run", "6.5", "-1", "--link", "planar")
-    assert call(*far, "--goal-distance", "0.2", "8", "--json", file)[::2] == (0, "")
+    run = ("run", "6.5", "-1", "--link", "planar")
+    assert call(*run, "--goal-distance", "0.2", "8", "--json", file)[::2] == (0, "")
     assert json.loads(file.read_text())["success_rate"] == 1.0
-    code, _, error = call(*far)
+    code, _, error = call(*run)
     assert code == 2
     assert_one_line(error, "must lie 0.5 to 3 m from the start")
     assert "--goal-distance" in error

@@ -40,7 +40,8 @@ def test_a_drive_that_estop_cannot_stop_is_refused(command: str, call: Call) -> 
 
 
 def test_commands_that_turn_no_real_wheels_need_no_estop(call: Call) -> None:
-    assert call("drive", "--link", "planar", "--linear", "0.1", "--duration", "0.1")[0] == 0
+    drive = ("drive", "--link", "planar", "--linear", "0.1", "--duration", "0.1")
+    assert call(*drive)[0] == 0
     code, out, _ = call("doctor", MISSING)
     assert code == 1
     assert "won't be heard" in " ".join(out.split())

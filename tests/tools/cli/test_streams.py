@@ -1,4 +1,4 @@
-"""Commands whose standard streams are closed, full or no longer read; the terminal after them."""
+"""Commands whose standard streams are closed, full or no longer read. The terminal after them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FULL = "acsar-gym: the output can't be written: No space left on device\n"
 
 
 def run_in_shell(line: str, folder: Path) -> tuple[int, str]:
-    """Run a line of bash; returns the exit code of its first command, and its standard error."""
+    """Run a line of bash. Returns the exit code of its first command, and its standard error."""
     line = line.replace("acsar-gym", f"'{sys.executable}' -m acsar_gym") + "; exit ${PIPESTATUS[0]}"
     command = ["bash", "-c", line]
     done = subprocess.run(command, cwd=folder, stderr=subprocess.PIPE, text=True, check=False)

@@ -34,7 +34,8 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_identify_explains_a_short_log(short: Path, call: Call, tmp_path: Path) -> None:
     out = tmp_path / "mine.yaml"
     figures = tmp_path / "found.json"
-    code, text, error = call("identify", short, "--out", out, "--json", figures)
+    files = ("--out", out, "--json", figures)
+    code, text, error = call("identify", short, *files)
     assert code == 1
     assert_one_line(error, "nothing to write: nothing new was found")
     assert "2.0 s of log: needs 5 s or more" in " ".join(text.split())
@@ -90,8 +91,11 @@ def test_identify_refuses_a_board_outside_the_model_unless_anyway(
     assert robot.motor_fit.startswith(misfit)
     assert not robot.measured
     remark = "mine.yaml: this robot's simulation doesn't fit: "
-    assert remark in call("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out)[1]
-    assert remark in call("run", "0.6", "0.2", "--link", "planar", "--robot", out)[1]
+    gap = ("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out)
+    assert remark in call(*gap)[1]
+    RobotConfig.preset("acsar").with_(motor_fit="doesn't fit: holds at reversals").save(out)
+    run = ("run", "0.6", "0.2", "--link", "planar", "--robot", out)
+    assert f"{remark}holds at reversals" in call(*run)[1]
 
 
 QUICK = ("--distance", "0.6", "--turns", "1", "--repeats", "1")
@@ -111,10 +115,10 @@ def test_calibrate_in_simulation_writes_a_robot_file(
     out = tmp_path / "my.yaml"
     result = tmp_path / "result.json"
     out.write_text("# Mine, with new tyres.\nwheel_radius: 0.05   # the maker's\n")
-    code, text, _ = call(
-        "calibrate", "planar", "all", *QUICK, "--twin", twin, "--out", out, "--json", result
-    )
+    options = ("--twin", twin, "--out", out, "--json", result)
+    code, text, _ = call("calibrate", "planar", "all", *QUICK, *options)
     assert code == 0
+
     first, second = out.read_text().splitlines()[:2]
     assert first == "# Mine, with new tyres."
     assert second.endswith(" # the maker's")
@@ -154,13 +158,14 @@ def test_calibrate_uses_runs_that_were_finished_before_a_stall(
 def test_calibrate_over_a_serial_device(
     start_emulator: StartEmulator, robot_file: RobotFile, tmp_path: Path
 ) -> None:
-    emulated = start_emulator()
     out = tmp_path / "my.yaml"
     floor = ("--distance", "0.4", "--space", "2", "1", "--measured", "0.41")
+    emulated = start_emulator()
     calibrate = ("calibrate", emulated.device, "straight", *floor, "--robot", robot_file())
     refused = cli(*calibrate)
     assert refused.returncode == 2
     assert "--yes" in refused.stderr
+
     for _ in range(TRIALS):
         done = cli(*calibrate, "--yes", "--out", out)
         assert done.returncode == 0, done.stderr
@@ -175,18 +180,20 @@ def test_calibrate_with_readings_given_later(call: Call, tmp_path: Path) -> None
     mine = tmp_path / "my.yaml"
     out = tmp_path / "out.yaml"
     record = tmp_path / "calibration.mcap"
-    known = RobotConfig.preset("acsar").with_(motor={"time_constant": 0.14})
-    known.save(mine)
+    config = RobotConfig.preset("acsar").with_(motor={"time_constant": 0.14})
+    config.save(mine)
     options = ("--record", record, "--robot", mine)
     drive = ("--distance", "0.6", "--repeats", "1", "--measured", "0.6")
     assert call("calibrate", "planar", "straight", *drive, *options)[0] == 0
+
     code, text, _ = call("calibrate", record, "straight")
     assert code == 0
     assert "no run has a reading" in text
-    code, text, _ = call("calibrate", record, "all", "--measured", "0.61", "--out", out)
+    readings = ("--measured", "0.61", "--out", out)
+    code, text, _ = call("calibrate", record, "all", *readings)
     assert code == 0
     assert "distance 0.610 m" in text
-    assert RobotConfig.load(out).motor == known.motor
+    assert RobotConfig.load(out).motor == config.motor
     assert RobotConfig.load(out).wheel_radius == pytest.approx(0.0496, rel=0.01)
 
 
@@ -228,8 +235,8 @@ def test_gap_of_the_right_robot_is_small(inside: Path, call: Call) -> None:
 
 
 def test_gap_uses_a_cut_recording_as_far_as_it_goes(inside: Path, call: Call) -> None:
-    whole = (inside / "log0.mcap").read_bytes()
-    (inside / "half.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    data = (inside / "log0.mcap").read_bytes()
+    (inside / "half.mcap").write_bytes(data[: len(data) * 2 // 3])
     code, out, error = call("gap", "half.mcap", "--robot", "robot.yaml")
     assert code == 0, error
     assert "half.mcap: its end is missing" in out

@@ -127,7 +127,8 @@ def test_a_policy_for_a_users_env_is_trained_evaluated_driven_and_exported(
 
     onnx = tmp_path / "again.onnx"
     model = policy.with_name("model.zip")
-    assert call("policy", model, "--out", onnx, "--trust", "--env", ENV)[::2] == (0, "")
+    convert = ("policy", model, "--out", onnx, "--trust", "--env", ENV)
+    assert call(*convert)[::2] == (0, "")
     assert call("evaluate", "--policy", onnx, "--env", ENV, *quick)[::2] == (0, "")
 
 

@@ -79,6 +79,7 @@ def test_worlds_check_finds_a_goal_outside(call: Call, tmp_path: Path) -> None:
 
 def test_worlds_convert_refuses_ends_for_generated_worlds(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "out.yaml"
-    code, _, error = call("worlds", "convert", "clutter:2-2", out, "--start", "1,2")
+    convert = ("worlds", "convert", "clutter:2-2", out, "--start", "1,2")
+    code, _, error = call(*convert)
     assert code == 2
     assert_one_line(error, "generated worlds have a start and a goal of their own")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.cli.commands import command
-from acsar_gym.tools.cli.commands.evaluate import PolicyOptions, report_run
+from acsar_gym.tools.cli.commands.policies import PolicyOptions, report_run
 from acsar_gym.tools.cli.options import (
     Count,
     Goal,
@@ -46,7 +46,6 @@ def drive_ros_robot(
     lidar: LidarArg = None,
     scene: str = "",
     realtime: float = 1.0,
-    without_estop: bool = False,
 ) -> int:
     """Drive a robot, real or simulated, as a node of ROS 2.
 
@@ -62,7 +61,6 @@ def drive_ros_robot(
         lidar: LiDAR such as rplidar:///dev/ttyUSB1, or simulated if the link is.
         scene: Scene of a simulated robot, such as clutter:7, or a world's file.
         realtime: How fast simulated time passes, as a factor of real time.
-        without_estop: Drive real wheels even if 'acsar-gym estop' couldn't stop them.
     """
     from acsar_gym.tools.ros import driver
 
@@ -70,8 +68,7 @@ def drive_ros_robot(
         raise ConfigError(f"--realtime {realtime:g}: must be positive")
     options = {"robot": robot, "link": link, "lidar": lidar, "scene": scene}
     with contextlib.closing(driver.RobotNode(options, node.namespace, node.ros_args)) as driven:
-        if not without_estop:
-            check_stoppable(driven.link or "serial")
+        check_stoppable(driven.link or "serial")
         recorder = recording.recorder("ros driver", link=driven.link)
         driver.DrivenRobot(driven, realtime, recorder).run()
     return 0
@@ -91,7 +88,7 @@ class RosGoalOptions:
     """The goals."""
 
     goal: Goal = None
-    """A first goal, from where the robot is [m]: x forward, y to the left."""
+    """A first goal, from the robot's place [m]: x forward, y to the left."""
     goal_distance: GoalDistance = None
     """How near and how far goals may be [m]. Default: as in training."""
     episodes: Count = None

@@ -40,8 +40,6 @@ def show_worlds(
     check_writable(out)
     _, worlds = atlas.collect_worlds(source, difficulty, robot, 12, atlas.MAX_DRAWN)
     atlas.draw_worlds(worlds, out)
-    if movers := atlas.describe_movers(worlds):
-        say(movers)
     say(f"drawn: {out}")
     return 0
 

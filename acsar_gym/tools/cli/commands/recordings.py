@@ -1,13 +1,16 @@
-"""Look into recordings, or convert them: acsar-gym record info|export FILE."""
+"""The commands `record info`, `record export` and `view`."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, require_extra
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     BagOptions,
@@ -16,6 +19,7 @@ from acsar_gym.tools.cli.options import (
     Goal,
     ResultOptions,
     RobotArg,
+    check_writable,
     print_results,
     say,
 )
@@ -68,7 +72,7 @@ def export_recording(
         env: Data sets: the env whose observations are wanted. Default: the env that recorded, or
             point_goal if a person drove.
         goal: Data sets: x and y in the odometry frame [m]. Default: the recorded goal, or the
-            place where the drive ended.
+            end of the drive.
         robot: ROS 2 bags: preset or file of the robot.
     """
     from acsar_gym.recording import export
@@ -88,8 +92,39 @@ def export_recording(
         return 0
 
     if len(files) > 1 or env or goal is not None:
-        what = "several recordings" if len(files) > 1 else "--env" if env else "--goal"
-        raise ConfigError(f"{what}: for --to minari and lerobot only, not {to}")
+        option = "several recordings" if len(files) > 1 else "--env" if env else "--goal"
+        raise ConfigError(f"{option}: for --to minari and lerobot only, not {to}")
     for table in export.export_recording(files[0], to, folder):
         say(f"written: {table}")
+    return 0
+
+
+@command("view")
+def view_run(source: Recorded, bag: BagOptions, save: File = None, robot: RobotArg = None) -> int:
+    """Show a recorded run in Rerun's viewer. Drive with --view to watch a robot live.
+
+    Args:
+        source: A recording, or a ROS 2 bag.
+        bag: Options of ROS 2 bags.
+        save: Write an .rrd file instead of opening a viewer.
+        robot: For ROS 2 bags: preset or file of the robot.
+    """
+    from acsar_gym.recording.bags import is_recording
+
+    os.environ.setdefault("RUST_LOG", "off")  # Rerun would report that its viewer was closed
+    with require_extra("the viewer", "view"):
+        from acsar_gym.tools.view import show
+
+    check_writable(save, mark="RRF")
+    path = show.find_recording(str(source))
+    if path.exists() and not is_recording(path):
+        path = bag.open(path, robot)
+    if save is not None:
+        count = show.save_recording(path, save)
+        say(f"{save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")
+        return 0
+    for number in (signal.SIGINT, signal.SIGTERM):  # Rerun's program ends with this one
+        signal.signal(number, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        show.show_recording(path)
     return 0
