@@ -307,6 +307,8 @@ def main() -> None:
         if not UNTESTED.search(path.as_posix())
         for fault in list_faults(str(path.relative_to(ROOT)), path.read_text(encoding="utf-8"))
     ]
+    chosen = choose(faults, options.faults, options.seed)
+    descriptions = [fault.describe() for fault in chosen]  # of the sources as they are now
     undetected: list[Fault] = []
     copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
 
@@ -324,10 +326,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
         for job in range(options.jobs):
             copies.put(Copy(Path(folder, str(job)), options.limit))
-        list(pool.map(detect, choose(faults, options.faults, options.seed)))
+        list(pool.map(detect, chosen))
     detected = options.faults - len(undetected)
     print(f"\ndetected {detected} of {options.faults} faults, not these:\n")
-    print("\n\n".join(fault.describe() for fault in undetected))
+    for fault, description in zip(chosen, descriptions, strict=True):
+        if fault in undetected:
+            print(description, end="\n\n")
 
 
 if __name__ == "__main__":

@@ -72,20 +72,13 @@ class Counts(NamedTuple):
 
 
 MOST = {
-    "lidar": Counts(3, 0, 0, 0),
-    "links": Counts(0, 1, 0, 0),
     "physics": Counts(0, 0, 3, 0),
     "recording": Counts(0, 0, 0, 2),
-    "safety": Counts(0, 2, 1, 2),
-    "sensors": Counts(0, 0, 0, 1),
-    "sensors/map": Counts(0, 0, 1, 0),
-    "tasks": Counts(5, 0, 0, 4),
-    "tools": Counts(0, 1, 0, 2),
-    "tools/baselines": Counts(0, 0, 0, 3),
-    "tools/cli": Counts(2, 2, 0, 17),
-    "tools/commission": Counts(0, 0, 0, 6),
-    "tools/evaluation": Counts(0, 0, 0, 5),
-    "tools/sysid": Counts(0, 0, 1, 15),
+    "safety": Counts(0, 0, 0, 1),
+    "tasks": Counts(0, 0, 0, 4),
+    "tools/commission": Counts(0, 0, 0, 2),
+    "tools/evaluation": Counts(0, 0, 0, 2),
+    "tools/sysid": Counts(0, 0, 0, 5),
     "vector/kernel": Counts(0, 0, 0, 3),
 }
 

@@ -10,5 +10,5 @@ from acsar_gym.tools.training.options import TrainingOptions
 
 def tiny(out: Path, **options: Any) -> TrainingOptions:
     """Options of a training of one thread and few robots."""
-    options = {"robots": 8, "progress": False, "threads": 1, "seed": 3, "out": out}
-    return TrainingOptions(**options | options)
+    defaults = {"robots": 8, "progress": False, "threads": 1, "seed": 3, "out": out}
+    return TrainingOptions(**defaults | options)

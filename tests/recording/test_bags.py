@@ -6,6 +6,7 @@ import re
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -207,15 +208,14 @@ def test_open_recording_reads_what_sqlite_wrote_last(tape: Path, tmp_path: Path)
     bag = make_bag(tape, TOPICS)
     (file,) = write_folder(tmp_path / "bag", bag, StoragePlugin.SQLITE3).glob("*.db3")
     live = tmp_path / "live.db3"
-    database = sqlite3.connect(live)
-    database.execute("pragma journal_mode=wal")
-    database.execute("pragma wal_autocheckpoint=0")
-    with sqlite3.connect(file) as source:
-        database.executescript("\n".join(source.iterdump()))
-
     (tmp_path / "crashed").mkdir()
-    for end in ("", "-wal"):
-        shutil.copy(f"{live}{end}", tmp_path / f"crashed/bag.db3{end}")
+    with closing(sqlite3.connect(live)) as database, closing(sqlite3.connect(file)) as source:
+        database.execute("pragma journal_mode=wal")
+        database.execute("pragma wal_autocheckpoint=0")
+        database.executescript("\n".join(source.iterdump()))
+        for end in ("", "-wal"):
+            shutil.copy(f"{live}{end}", tmp_path / f"crashed/bag.db3{end}")
+
     content = {path: path.read_bytes() for path in (tmp_path / "crashed").iterdir()}
     assert_same_drive(read_bag(tmp_path / "crashed" / "bag.db3"), tape)
     assert_same_drive(read_bag(tmp_path / "crashed"), tape)

@@ -1,4 +1,4 @@
-"""Jobs and evaluations on a Ray cluster of two nodes; run by `make test-scale`."""
+"""Jobs and evaluations on a Ray cluster of two nodes, run by `make test-scale`."""
 
 from __future__ import annotations
 

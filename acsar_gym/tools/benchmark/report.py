@@ -60,12 +60,12 @@ def main_cells(row: Row) -> dict[str, str]:
 
 def list_rows(result: Mapping[str, Any]) -> list[Row]:
     """Return the rows of agents that drove."""
-    return [row for row in result["rows"] if "refused" not in row]
+    return [row for row in result["rows"] if not row["refused"]]
 
 
 def list_refusals(result: Mapping[str, Any]) -> list[str]:
     """Return why agents couldn't drive somewhere, each reason once."""
-    return list(dict.fromkeys(row["refused"] for row in result["rows"] if "refused" in row))
+    return list(dict.fromkeys(row["refused"] for row in result["rows"] if row["refused"]))
 
 
 def result_table(result: Mapping[str, Any]) -> Table:
@@ -78,6 +78,7 @@ def write_csv(path: Path, result: Mapping[str, Any]) -> None:
     lines = []
     for row in list_rows(result):
         line = {name: value for name, value in row.items() if not isinstance(value, list | dict)}
+        line.pop("refused")
         line["robot"] = result["header"]["scenes"][f"{row['id']} {row['scenes']}"]["robot"]
         line["training_seeds"] = len(row["training_seeds"])
         for name, (low, high) in row["intervals"].items():

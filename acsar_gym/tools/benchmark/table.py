@@ -63,8 +63,9 @@ class AgentRow:
     def as_dict(self, rivals: Sequence[AgentRow]) -> dict[str, Any]:
         """Return figures, intervals and differences to the best baseline of `rivals`, for JSON."""
         about = {"agent": self.agent, "kind": self.kind, **self.place._asdict()}
+        about["refused"] = "" if self.groups else self.refused
         if not self.groups:
-            return about | {"refused": self.refused}
+            return about
         return about | {
             "training_seeds": self.seeds,
             "episodes": sum(map(len, self.groups)),

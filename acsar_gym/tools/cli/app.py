@@ -60,7 +60,7 @@ def parse_command(words: list[str]) -> Any:
         COMMANDS[name].function,
         prog=f"acsar-gym {name}",
         args=join_ros_arguments(words[len(name.split()) :]),
-        config=(tyro.conf.OmitArgPrefixes,),
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
     )
 
 

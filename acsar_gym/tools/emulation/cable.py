@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from pathlib import Path
 
 from acsar_gym.errors import ConfigError
@@ -15,6 +16,8 @@ try:
 except ImportError as error:
     raise ConfigError("this operating system has no pseudo-terminals to emulate on") from error
 
+DEVICE_PREFIXES = ("/dev/pts/", "/dev/ttys")
+"""First characters of pseudo-terminals' paths, on Linux and macOS."""
 READ_SIZE = 4096
 UNNAMED_RATE = 0o010000
 """BOTHER: what `termios` on Linux reports for a baud rate that has no name, such as 256000."""
@@ -102,9 +105,16 @@ class EmulatedCable:
 
 
 def _check_name(name: Path) -> None:
-    """Check that a symbolic link destroys nothing. A link whose device is gone may be replaced."""
-    if name.exists():
-        reason = "exists and isn't a symbolic link"
-        if name.is_symlink():
-            reason = f"is the name of {name.readlink()}, perhaps another emulator's"
-        raise ConfigError(f"{name}: {reason}: name another")
+    """Check that a symbolic link destroys nothing."""
+    if not name.is_symlink():
+        if name.exists():
+            raise ConfigError(f"{name}: exists and isn't a symbolic link: name another")
+        return
+    device = name.readlink()
+    if not str(device).startswith(DEVICE_PREFIXES):
+        raise ConfigError(f"{name}: is a symbolic link to {device}: name another")
+    if sys.platform == "linux" and device.exists():
+        raise ConfigError(
+            f"{name}: is the name of {device}, perhaps another emulator's: end that, or give "
+            "another name"
+        )

@@ -66,6 +66,7 @@ def make_header(
 ) -> dict[str, Any]:
     """Collect what is needed to repeat an evaluation, ready for JSON, see above for its keys."""
     inner: Any = env.unwrapped
+
     return {
         "versions": library_versions(*DRIVING_LIBRARIES),
         "policy": {

@@ -313,7 +313,8 @@ def evaluate_policy(
         **options: Other arguments of the env.
     """
     resets: Resets = [(seed, {}) for seed in seeds]
-    is_parallel = workers not in (None, 1)
+    workers = 1 if workers is None else workers
+    is_parallel = workers != 1
     if is_parallel and link not in BODIES:
         raise ConfigError(
             f"--link {show_value(link)}: one process drives one robot: --workers needs --link "
@@ -328,7 +329,7 @@ def evaluate_policy(
             load = send_policy(policy)
             config = RobotConfig.of(robot)
             job = EpisodeJob(load, link, config, options, resets=resets, late_share=late_share)
-            running = _run_in_parallel(job, workers or 1)
+            running = _run_in_parallel(job, workers)
         title = f"episodes, {report.escape_text(link)}"
         with contextlib.closing(running):
             yield from report.watch_progress(title, running, len(seeds))
@@ -336,14 +337,14 @@ def evaluate_policy(
     about = {"late_share": late_share}
     done = drive_episodes(policy, link, robot, drive, about=about, seeds=seeds, **options)
     done.results.sort(key=lambda episode: episode.seed or 0)
-    done.header["workers"] = workers or 1
+    done.header["workers"] = workers
     return done
 
 
 def _run_in_parallel(job: EpisodeJob, workers: int) -> Generator[Episode, None, None]:
     """Yield the episodes of a job, which several processes drive in parts."""
     # Small parts, so that no worker waits long for the last one.
-    size = len(job.resets) // (PARTS_PER_WORKER * workers)
+    size = len(job.resets) // (PARTS_PER_WORKER * max(workers, 1))
     size = max(1, min(MAX_PART_EPISODES, size))
     parts = [
         replace(job, resets=job.resets[first : first + size])

@@ -55,10 +55,8 @@ class MirrorPolicy(ActorCriticPolicy):
         for layers in (self.mlp_extractor.policy_net, self.mlp_extractor.value_net):
             for place, layer in enumerate(layers):
                 if isinstance(layer, torch.nn.Linear):
-                    all_units = range(layer.in_features)
-                    even = all_units if place else features.even
-                    odd = all_units if place else features.odd
-                    layers[place] = _MirrorLayer(even, odd, layer.out_features)
+                    parts = () if place else (features.even, features.odd)
+                    layers[place] = _MirrorLayer(layer, *parts)
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
@@ -99,14 +97,24 @@ class _BothImages(FlattenExtractor):
 
 
 class _MirrorLayer(torch.nn.Module):
-    """Maps units and their mirror images, (batch, 2, n), to those of the next layer."""
+    """Maps units and their mirror images, (batch, 2, n), to those of the next layer.
 
-    def __init__(self, even: Sequence[int], odd: Sequence[int], after: int) -> None:
+    Args:
+        layer: Layer of the same size.
+        even: Units whose even part is used, by default all.
+        odd: Units whose odd part is used, by default all.
+    """
+
+    def __init__(
+        self, layer: torch.nn.Linear, even: Sequence[int] = (), odd: Sequence[int] = ()
+    ) -> None:
         super().__init__()
-        self.even_units = torch.nn.Buffer(torch.tensor(even))
-        self.odd_units = torch.nn.Buffer(torch.tensor(odd, dtype=torch.int64))
-        self.even = torch.nn.Linear(len(even), after)
-        self.odd = torch.nn.Linear(len(odd), after, bias=False)
+        inputs = layer.in_features
+        outputs = layer.out_features
+        self.even_units: Any = torch.nn.Buffer(torch.tensor(even)) if even else slice(None)
+        self.odd_units: Any = torch.nn.Buffer(torch.tensor(odd)) if odd else slice(None)
+        self.even = torch.nn.Linear(len(even) or inputs, outputs)
+        self.odd = torch.nn.Linear(len(odd) or inputs, outputs, bias=False)
 
     def forward(self, units: torch.Tensor) -> torch.Tensor:
         even = self.even(0.5 * (units[:, 0] + units[:, 1])[:, self.even_units])

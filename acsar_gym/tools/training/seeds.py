@@ -13,7 +13,7 @@ import re
 import shutil
 import statistics
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError, show_value
@@ -68,17 +68,16 @@ def train_seeds(options: TrainingOptions) -> list[SeedResult]:
     """
     require_training()
     seeds = parse_seeds(options.seeds or "")
-    # One thread for each seed, so that they don't wait for each other.
-    shared = options.model_copy(
-        update={
-            **dict.fromkeys(("seeds", "workers", "address")),
-            "progress": False,
-            "threads": options.threads or 1,
-        }
-    )
-    TrainingPlan.of(shared)  # raises the errors of all seeds
+    TrainingPlan.of(options.model_copy(update={"threads": 1}))  # raises the errors of all seeds
     out = folders.make_folder(options.out, options.env.rpartition("/")[2]).resolve()
-    jobs = [shared.model_copy(update={"seed": seed, "out": out / f"seed-{seed}"}) for seed in seeds]
+
+    # One thread for each seed, so that they don't wait for each other.
+    changes: dict[str, Any] = dict.fromkeys(("seeds", "workers", "address"))
+    changes |= {"progress": False, "threads": options.threads or 1}
+    jobs = [
+        options.model_copy(update={**changes, "seed": seed, "out": out / f"seed-{seed}"})
+        for seed in seeds
+    ]
 
     results: list[SeedResult] = []
     running = run_jobs(train_seed, jobs, options.workers, options.address)

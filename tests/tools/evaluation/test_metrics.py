@@ -203,13 +203,22 @@ def test_mean_jerk_is_the_third_derivative_of_the_way() -> None:
     assert math.isnan(mean_jerk(poses[:3], 0.1))
 
 
-def test_footprint_clearance_is_that_of_the_nearest_side_or_corner() -> None:
-    world = World(circles=np.array([[2.0, 0.0, 0.5]]), segments=np.array([[-1.0, 1.0, 3.0, 1.0]]))
-    outline = make_rectangle(0.6, 0.4)
-    slanted = (0.0, 0.0, math.pi / 4.0)
-    assert footprint_clearance(np.zeros((1, 3)), outline, world) == pytest.approx(0.8)
-    nearest = footprint_clearance(np.array([(-9.0, -9.0, 0.0), slanted]), outline, world)
-    assert nearest == pytest.approx(1.0 - 0.5 / math.sqrt(2.0))
+@pytest.mark.parametrize("theta", [0.0, 0.5, -0.5])
+def test_footprint_clearance_is_that_of_the_nearest_side_or_corner(theta: float) -> None:
+    """As the distance of a circle in the robot's frame from a rectangle."""
+    world = World(circles=np.array([[0.8, 0.5, 0.1]]))
+    turn = np.array([[math.cos(theta), math.sin(theta)], [-math.sin(theta), math.cos(theta)]])
+    outside = np.maximum(np.abs(turn @ [0.8, 0.5]) - (0.3, 0.2), 0.0)
+    places = np.array([(-9.0, -9.0, 0.0), (0.0, 0.0, theta)])
+    clearance = footprint_clearance(places, make_rectangle(0.6, 0.4), world)
+    assert clearance == pytest.approx(np.hypot(*outside) - 0.1)
+
+
+def test_measure_episode_of_a_spin() -> None:
+    episode = drive(among(), np.array([0.0, -1.0], np.float32), steps=60)
+    assert episode.turning > math.tau
+    assert episode.driven < 0.05
+    assert episode.pose[2] == pytest.approx(math.remainder(-episode.turning, math.tau), abs=1e-6)
 
 
 @pytest.mark.parametrize("link", ["planar", "bullet"])

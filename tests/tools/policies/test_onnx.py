@@ -153,7 +153,7 @@ def test_onnx_policy_refuses_other_names(tmp_path: Path) -> None:
     make = Maker()
     make.dense("observation", 7)
     path = tmp_path / "renamed.onnx"
-    in_the_graph = b"\n\x0bobservation"  # a string of protobuf's; the document is JSON
+    in_the_graph = b"\n\x0bobservation"  # a string of protobuf
     path.write_bytes(make.bytes().replace(in_the_graph, b"\n\x0bobservatiom"))
     assert "must map 'observation' to 'action'" in refused(path)
 

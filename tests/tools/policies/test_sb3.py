@@ -84,6 +84,7 @@ def test_set_options_chooses_the_worlds_until_the_reset_after_the_next() -> None
     env = wrapped(batch)
     env.seed(0)
     env.set_options({"world": [1001, 1002, 1004]})
+
     worlds = []
     for _ in range(2):
         env.reset()
