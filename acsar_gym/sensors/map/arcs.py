@@ -6,7 +6,7 @@ point is described by its distance beside that arc (`across`) and its distance a
 dynamic window approach computes this for its candidates (Fox, Burgard and Thrun, "The dynamic
 window approach to collision avoidance", 1997). A policy that had clearances in directions of 7.5
 degrees only grazed obstacles that stood 2 cm too near, so it needs these numbers
-(agents/README.md).
+(docs/experiments.md).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 On a course the robot keeps a velocity for a while, and so do the objects: the dynamic window
 approach (Fox, Burgard and Thrun, 1997) predicts this for its candidates, and a policy gets it as
 numbers, as it gets the free ways between standing obstacles (`arcs`). Policies that were trained
-with courses solved 34 % of crowds with ACSAR instead of 24 % (agents/README.md).
+with courses solved 34 % of crowds with ACSAR instead of 24 % (docs/experiments.md).
 """
 
 from __future__ import annotations

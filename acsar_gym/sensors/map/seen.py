@@ -42,7 +42,7 @@ CELL_SHIFT = 0.37
 fraction, so that places with round numbers don't lie on the edge of a cell."""
 
 # A cell is occupied after two hits. Odometry drifts, so an obstacle that is no longer seen
-# has to be forgotten within a second or two (agents/README.md, "A map, and any robot").
+# has to be forgotten within a second or two (docs/experiments.md, "A map, and any robot").
 COUNT_FREE = 1
 """Count of a free cell. A cell that has never been seen has 0."""
 COUNT_OCCUPIED = 6
@@ -58,7 +58,7 @@ SHARED_RAYS = 4
 """Each scan clears cells along every fourth ray, in turn, because this takes most of the time."""
 
 # Costs around an occupied cell. COST_NEAR, COST_FADE and COST_TIGHT were chosen in
-# clutter:3000-3399 by time and success of the packaged policies (table in agents/README.md).
+# clutter:3000-3399 by time and success of the packaged policies (table in docs/experiments.md).
 COST_UNIT = 0.25
 """A cell with the number n costs 1 + COST_UNIT * n a metre."""
 COST_LETHAL = 60.0

@@ -85,7 +85,7 @@ UNSEEN_CELLS = 6
 UNSEEN_CLEARANCE = 0.5
 """Clearance in that direction if most of UNSEEN_CELLS have never been seen, in radii. Without it
 robots that see half a turn drove backwards into obstacles, in 18 % of the episodes of `drawn:2023`
-(agents/README.md)."""
+(docs/experiments.md)."""
 FILLED = 2.0 * FARTHEST_CLEARANCE
 """Added to the clearance of a direction that no ray has measured until all directions are filled
 in. A negative clearance between two rays is therefore taken for a measured clearance, and observed
@@ -105,7 +105,7 @@ SWITCH = 1.05
 doesn't waver between two that are equally good."""
 STALL_STEPS = 50
 """A robot is stalled if its way hasn't become shorter by STALL_GAIN for this many steps. Without
-this number policies stood still in front of gaps that were wide enough (agents/README.md)."""
+this number policies stood still in front of gaps that were wide enough (docs/experiments.md)."""
 STALL_GAIN = 0.25
 """Least shortening of the way that counts, in radii."""
 GAIN_LIMIT = 2.0

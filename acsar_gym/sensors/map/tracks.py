@@ -79,7 +79,7 @@ ALONG = (RANGE_VAR, RANGE_COV, RANGE_SPEED_VAR)
 # How these constants were found isn't recorded, except where a docstring says so. What they achieve
 # is: tests/sensors/map/test_tracks.py checks how soon walkers of 0.4 to 1.8 m/s are found and how
 # seldom standing objects move, and docs/your-own-sensor.md has the figures among people. A change
-# of any of them changes every figure among people (agents/README.md).
+# of any of them changes every figure among people (docs/experiments.md).
 
 # Which rays belong to an object.
 EDGE_GAP = 0.25
@@ -101,7 +101,7 @@ ERROR_SHARE = 0.3
 """The part that grows with range, as a share of the distance between two rays."""
 NEW_SPEED = 1.0
 """Standard deviation of a coordinate of a new track's velocity [m/s]. With 0.5, and a JOLT of 1.0,
-velocities in crowds were off by 0.18 instead of 0.19 m/s (agents/README.md)."""
+velocities in crowds were off by 0.18 instead of 0.19 m/s (docs/experiments.md)."""
 JOLT = 0.7
 """Standard deviation of the acceleration that the filter expects [m/s^2]."""
 RADIUS_GAIN = 0.15

@@ -121,11 +121,17 @@ def _escape_latex(text: str) -> str:
     return text
 
 
+CSV_MARK = "agent,kind,"
+"""How the files of `write_csv` start."""
+FIGURE_MARKS = {".svg": "matplotlib.org", ".pdf": "%PDF-1.4"}
+"""Words near the start of the files of `write_figure`, by the end of the name."""
+
+
 def check_figure(figure: Path | None, html: Path | None) -> None:
     """Check before a long run that a figure, in a file or in a page, can be drawn."""
     if figure is not None or html is not None:
         check_extra("a figure", "plot", "matplotlib")
-    if figure is not None and figure.suffix not in (".svg", ".pdf"):
+    if figure is not None and figure.suffix not in FIGURE_MARKS:
         raise ConfigError(f"--figure {figure}: must end in .svg or .pdf")
 
 

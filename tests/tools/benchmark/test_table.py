@@ -14,6 +14,7 @@ import pytest
 from benchmark_tools import SCENES, cell, driven, episode, result_of
 from rich.console import Console
 
+from acsar_gym.reading import check_replaceable
 from acsar_gym.tools.benchmark import report
 from acsar_gym.tools.benchmark.figures import Scoring, score_episode
 from acsar_gym.tools.benchmark.table import CellResult
@@ -125,6 +126,7 @@ def test_write_csv_latex_and_figure(result: dict[str, Any], tmp_path: Path) -> N
     report.write_csv(table, result)
     with table.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
+    check_replaceable(table, report.CSV_MARK)
     assert [row["agent"] for row in rows] == ["ours", "floor", "ours"]
     assert float(rows[0]["score_low"]) < float(rows[0]["score"]) < float(rows[0]["score_high"])
     assert (rows[0]["score_over"], rows[1]["score_over"], rows[0]["clearance"]) == ("floor", "", "")
@@ -139,6 +141,7 @@ def test_write_csv_latex_and_figure(result: dict[str, Any], tmp_path: Path) -> N
     pytest.importorskip("matplotlib")
     for name in ("scores.svg", "scores.pdf"):
         report.write_figure(tmp_path / name, result)
+        check_replaceable(tmp_path / name, report.FIGURE_MARKS[name[-4:]])
         assert (tmp_path / name).stat().st_size > 5000
 
 

@@ -384,8 +384,11 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     from acsar_gym.tools.evaluation.report import write_json
 
     how.check()
-    check_writable(how.csv, how.latex, how.figure)
     report.check_figure(how.figure, how.html)
+    check_writable(how.latex)
+    check_writable(how.csv, mark=report.CSV_MARK)
+    if how.figure is not None:
+        check_writable(how.figure, mark=report.FIGURE_MARKS[how.figure.suffix])
     if how.out is not None and how.resume is not None:
         raise ConfigError("--resume: continues in its own folder: leave out --out")
 
