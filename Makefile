@@ -14,8 +14,7 @@ BOARD_SUITES := tests/links/test_contract.py tests/links/test_serial.py tests/gu
   tests/links/test_watched_link.py \
   tests/guard/test_estop.py
 CORE := $(wildcard tests/test_[jkop]*.py) tests/config tests/envs tests/physics tests/recording \
-  tests/sensors tests/tasks tests/worlds tests/vector tests/tools/policies tests/tools/training \
-  --ignore tests/recording/test_sinks.py
+  tests/sensors tests/tasks tests/worlds tests/vector tests/tools/policies tests/tools/training
 STOPPING ?= --trials 20
 
 .PHONY: demo test test-floors test-pythons release docs test-slow test-browser test-ecosystem \
