@@ -253,13 +253,13 @@ def first_line(process: subprocess.Popen[str] | Forked) -> str:
     return process.stdout.readline().strip() if ready else ""
 
 
-def cli(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+def cli(*arguments: str | Path, timeout: float = TIMEOUT) -> subprocess.CompletedProcess[str]:
     """`acsar-gym ARGUMENTS`, to its end, without a keyboard."""
     process = Forked(*map(str, arguments))
     with ThreadPoolExecutor(2) as readers:
         try:
             texts = [readers.submit(stream.read) for stream in (process.stdout, process.stderr)]
-            code = process.wait(TIMEOUT)
+            code = process.wait(timeout)
         finally:
             process.kill()
     process.close()

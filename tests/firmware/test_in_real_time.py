@@ -25,6 +25,8 @@ pytestmark = pytest.mark.usefixtures("deadline", "nursery")
 TRIALS = 20
 PATIENT = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}
 """What a busy computer needs [s]. A program that was killed is noticed at once all the same."""
+DOCTOR_TIMEOUT = 120.0
+"""The doctor turns wheels for 40 s [s]."""
 ATTEMPTS = 3
 """How often doctor is asked where the computer lets the simulated chip stand still."""
 LIMIT = 0.1
@@ -46,7 +48,7 @@ def test_doctor_finds_nothing_to_warn_of(board: Emulated, tmp_path: Path) -> Non
     options = ("--robot", robot, "--spin", "--yes", "--saw", *"abcd", "--json")
     for _ in range(ATTEMPTS):
         board.forget()
-        done = cli("doctor", board.device, *options, report)
+        done = cli("doctor", board.device, *options, report, timeout=DOCTOR_TIMEOUT)
         if not any("lost" in event for event in board.events()):
             break
     else:
@@ -72,7 +74,7 @@ def test_doctor_shows_that_a_motor_is_cut(reversed_board: Emulated, tmp_path: Pa
     robot = tmp_path / "patient.yaml"
     RobotConfig.preset("acsar_avr").with_(**PATIENT).save(robot)
     options = ("--robot", robot, "--spin", "--yes", "--json", report)
-    done = cli("doctor", reversed_board.device, *options)
+    done = cli("doctor", reversed_board.device, *options, timeout=DOCTOR_TIMEOUT)
     assert done.returncode != 0
     checks = {check["name"]: check for check in json.loads(report.read_text())["checks"]}
     assert "a cut: turns against its motor" in checks["the board says"]["found"]

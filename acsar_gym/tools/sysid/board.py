@@ -160,6 +160,8 @@ class BoardProbe:
         duration: float,
         *,
         interval: float = COMMAND_INTERVAL,
+        above: float = math.inf,
+        below: float = -math.inf,
     ) -> Lines:
         """Repeat a command for a while, and return the lines that arrive meanwhile.
 
@@ -168,6 +170,8 @@ class BoardProbe:
             duration: Duration on the board's clock [s], which its lines show. It takes longer if
                 this computer or an emulator is held up.
             interval: Interval of the commands [s].
+            above: A line with a mean wheel speed above this ends it [rad/s].
+            below: A line with a mean wheel speed below this ends it [rad/s].
 
         Raises:
             BoardSilentError: No valid line has arrived for `SILENCE_TIMEOUT`.
@@ -177,8 +181,9 @@ class BoardProbe:
         sent = self._sent
         stamps: list[float] = []
         speeds: list[Speeds] = []
+        is_over = False
 
-        while True:
+        while not is_over:
             now = self._link.now()
 
             # The lines are the board's clock. Before its rate is known, this computer's counts.
@@ -193,6 +198,7 @@ class BoardProbe:
             for line in self._poll():
                 stamps.append(self._polled)
                 speeds.append(line)
+                is_over |= not below <= np.abs(line).mean() <= above
         return Lines(sent, np.array(stamps), np.array(speeds).reshape(-1, len(MOTORS)))
 
     def _send(self, command: Speeds | bytes) -> None:
@@ -332,10 +338,11 @@ def _measure_delays(probe: BoardProbe, command: Speeds) -> list[float]:
 
         # Send the command at another phase of the board's lines each time.
         probe.drive(None, trial / DELAY_TRIALS / probe.rate)
-        step = probe.drive(command, EFFECT_TIME)
 
         # A dead wheel or a noisy encoder doesn't hide the first change of the mean.
-        shows = _mean(step.speeds) > max(QUIET_SPEED, 2.0 * noise)
+        visible = max(QUIET_SPEED, 2.0 * noise)
+        step = probe.drive(command, EFFECT_TIME, above=visible)
+        shows = _mean(step.speeds) > visible
         if not shows.any():
             return []
 
@@ -379,17 +386,18 @@ def _time_fall(probe: BoardProbe, command: Speeds, stop: Speeds | None) -> float
         if it doesn't.
     """
     steady = probe.drive(command, SPIN_TIME)
-    falling = probe.drive(stop, LONGEST_TIMEOUT if stop is None else FALL_TIME)
+    level = FALL_LEVEL * float(_mean(steady.newest).mean())
+    longest = LONGEST_TIMEOUT if stop is None else FALL_TIME
+    falling = probe.drive(stop, longest, below=level)
     probe.stop_wheels(max(command))
 
     # Interpolate the time of the level between the lines around it.
     stamps = np.append(steady.stamps[-1], falling.stamps)
     speeds = np.append(_mean(steady.speeds)[-1], _mean(falling.speeds))
-    level = FALL_LEVEL * _mean(steady.newest).mean()
-    below = np.flatnonzero(speeds < level)
-    if not len(below) or not below[0]:
+    fallen = np.flatnonzero(speeds < level)
+    if not len(fallen) or not fallen[0]:
         return math.inf
-    crossing = [below[0], below[0] - 1]
+    crossing = [fallen[0], fallen[0] - 1]
     return float(np.interp(level, speeds[crossing], stamps[crossing])) - falling.sent
 
 
