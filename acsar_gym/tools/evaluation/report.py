@@ -34,9 +34,9 @@ INTERVAL_NOTE = (
 PIPED_WIDTH = 160
 """Columns of output that isn't a terminal: enough for all tables."""
 PEOPLE_NOTE = (
-    "A robot that somebody ran into is struck: no success, and no collision of its own. Distances "
-    "are from hull to hull. Distances and times until both would have touched are the least of an "
-    "episode. An intrusion is to come within 0.45 m of somebody."
+    "A robot that a person ran into counts as struck: this is no success, and no collision of the "
+    "robot. Distances are from hull to hull. Distances and times to contact are the least of an "
+    "episode. An intrusion: the robot comes within 0.45 m of a person."
 )
 
 
