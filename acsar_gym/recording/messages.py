@@ -65,6 +65,13 @@ SCAN = "sensor_msgs/msg/LaserScan"
 TWIST = "geometry_msgs/msg/Twist"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 FLOATS = "std_msgs/msg/Float32MultiArray"
+FLOAT = "std_msgs/msg/Float64"
+TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
+LOG = "rcl_interfaces/msg/Log"
+KINDS = (
+    ODOMETRY, TRANSFORMS, JOINTS, SCAN, TWIST, MARKERS, FLOATS, FLOAT, TIME_REFERENCE, LOG,
+)  # fmt: skip
+"""All types of messages of a recording."""
 UNMEASURED_VARIANCE = 1e3
 """Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
 takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
@@ -144,10 +151,22 @@ def load_typestore() -> Any:
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
+@cache
 def define(kind: str) -> bytes:
     """Return the definition of a type, and of all types in it."""
     text: str = load_typestore().generate_msgdef(kind, ros_version=2)[0]
     return text.encode()
+
+
+@cache
+def prepare_messages() -> None:
+    """Define all types and generate their serializers, for a recording that opens.
+
+    This takes 0.1 s. In the writer's thread it would hold Python's lock while the robot drives.
+    """
+    for kind in KINDS:
+        define(kind)
+        load_typestore().serialize_cdr(make_message(kind), kind)
 
 
 def make_message(kind: str, **fields: Any) -> Any:
@@ -283,7 +302,7 @@ def list_series(tables: Tables, head: Mapping[str, Any], config: RobotConfig) ->
     wall = {"time_ref.sec": seconds, "time_ref.nanosec": nanoseconds}
     yield Series(
         "/time_reference",
-        "sensor_msgs/msg/TimeReference",
+        TIME_REFERENCE,
         clocks["stamp"],
         wall,
         lambda: {"source": "wall clock"},
@@ -291,7 +310,7 @@ def list_series(tables: Tables, head: Mapping[str, Any], config: RobotConfig) ->
     text = tables["faults_bytes"].tobytes().decode()
     newest = tables["faults"]["stamp"][:1]  # several in a block are one message
     fault = {"level": LOG_ERROR, "name": NODE_NAME, "msg": text}
-    yield Series("/rosout", "rcl_interfaces/msg/Log", newest, {}, lambda: fault)
+    yield Series("/rosout", LOG, newest, {}, lambda: fault)
 
 
 def _show_ticks(ticks: Table, config: RobotConfig, every: int) -> Iterator[Series]:
@@ -311,7 +330,7 @@ def _show_ticks(ticks: Table, config: RobotConfig, every: int) -> Iterator[Serie
     firsts = np.arange(0, len(ticks), every)
     for topic, name in WORST.items():
         worst = np.fmax.reduceat(ticks[name].astype(float), firsts)
-        yield Series(topic, "std_msgs/msg/Float64", stamps[firsts], {"data": worst})
+        yield Series(topic, FLOAT, stamps[firsts], {"data": worst})
 
 
 def _list_pose(table: Table, place: str, turn: str) -> dict[str, Table]:

@@ -21,6 +21,7 @@ from acsar_gym.recording.messages import (
     Publisher,
     define,
     package_version,
+    prepare_messages,
 )
 from acsar_gym.recording.tabulator import Sink
 
@@ -147,6 +148,7 @@ class RecordingWriter(Sink):
         with require_extra("recording", "record"):
             from mcap.writer import Writer  # noqa: PLC0415 - optional
 
+        prepare_messages()
         self._publisher = Publisher(config)
         self._header = header
         self._schemas: dict[str, int] = {}
