@@ -94,7 +94,7 @@ COMMANDS = {
     ),
     "benchmark --sets open/acsar --agents packaged turn_drive --links planar --scenes 2 "
     "--workers 2 --out bench --html bench.html": "written: bench",
-    "demo --steps 4096 --episodes 2 --serial-episodes 1 --out demo": "serial device (emulator)",
+    "demo --steps 4096 --episodes 2 --out demo": "serial device (emulator)",
 }
 """Commands, with options that make them short, and what they print when they have done all. Their
 exit code also depends on late ticks, and on goals that a policy of few steps misses."""

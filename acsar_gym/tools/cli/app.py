@@ -56,6 +56,7 @@ def parse_command(words: list[str]) -> Any:
         is_group = any(name.startswith(f"{words[0]} ") for name in COMMANDS)
         typed = " ".join(words[: 1 + is_group])
         raise ConfigError(f"{show_value(typed)}: no such command{suggest_name(typed, COMMANDS)}")
+    # Groups of options are only for --help: their names are no prefixes of options.
     return tyro.cli(
         COMMANDS[name].function,
         prog=f"acsar-gym {name}",
@@ -75,6 +76,7 @@ def join_ros_arguments(words: list[str]) -> list[str]:
 
     They begin with dashes as well, and ROS's launch writes them in several places.
     """
+    # tyro takes a list of words that begin with dashes only as one word.
     options: list[str] = []
     ros: list[str] = []
     is_ros = False

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from acsar_gym.errors import CancelledError, ConfigError, escape_unprintable, require_extra
-from acsar_gym.reading import check_replaceable, describe_origin
+from acsar_gym.reading import COMMAND, check_replaceable, describe_origin
 from acsar_gym.streams import print_error
 
 if TYPE_CHECKING:
@@ -56,19 +56,6 @@ def say(text: str) -> None:
     print(escape_unprintable(text), flush=True)
 
 
-def print_results(
-    *tables: Table, json: Path | None = None, data: Mapping[str, Any] | None = None
-) -> None:
-    """Print tables, and write the figures to a JSON file, if one is named."""
-    from acsar_gym.tools.evaluation import report
-
-    try:
-        report.print_tables(*tables)
-    finally:  # also if nothing reads the tables
-        if json is not None:
-            report.write_json(json, {"origin": describe_origin(), **(data or {})})
-
-
 def check_writable(*paths: Path | None, robot: Path | None = None, mark: str | None = None) -> None:
     """Check before the work that results can be written, and replace no file of other programs.
 
@@ -80,6 +67,7 @@ def check_writable(*paths: Path | None, robot: Path | None = None, mark: str | N
     from acsar_gym.config import RobotConfig, saving
     from acsar_gym.tools.evaluation import report
 
+    # A robot's file is changed in place, so it needn't be this command's.
     if robot is not None:
         saving.check_target(robot, RobotConfig)
     for path in (*paths, robot):
@@ -99,21 +87,24 @@ class ResultOptions:
         """Check before the work that the files can be written, as `check_writable` does."""
         check_writable(self.json)
 
+    def print(self, *tables: Table, data: Mapping[str, Any]) -> None:
+        """Print tables, and write the figures to the JSON file, if one is named."""
+        from acsar_gym.tools.evaluation import report
 
-@dataclass(frozen=True)
-class PageOptions(ResultOptions):
-    """Results in files."""
+        try:
+            report.print_tables(*tables)
+        finally:  # also if nothing reads the tables
+            if self.json is not None:
+                report.write_json(self.json, {"origin": describe_origin(), **data})
 
-    html: File = None
-    """Also write an HTML page with tables and plots."""
 
-    def check(self) -> None:
-        """Check before the work that the files can be written, and that a page can be made."""
-        check_writable(self.json, self.html)
-        if self.html is not None:
-            from acsar_gym.tools.page import check_report_extra
+def check_page(path: Path | None) -> None:
+    """Check before the work that an HTML page can be made, if one is named."""
+    check_writable(path)
+    if path is not None:
+        from acsar_gym.tools.page import check_report_extra
 
-            check_report_extra()
+        check_report_extra()
 
 
 def check_stoppable(link: str) -> None:
@@ -129,6 +120,7 @@ def countdown(what: str, seconds: float = COUNTDOWN, *, yes: bool = False) -> No
     """Announce what is about to move, and count down. Any key cancels."""
     if yes:
         return
+    # Without a terminal no key could cancel.
     if not sys.stdin.isatty():
         raise ConfigError(f"{what}: no terminal to ask on; add --yes if that is safe")
     say(f"{what}. Any key cancels.")
@@ -177,7 +169,7 @@ class RecordOptions:
     view: bool = False
     """Show the drive in Rerun's viewer."""
 
-    def recorder(self, command: str, **about: Any) -> Recorder | None:
+    def recorder(self, **about: Any) -> Recorder | None:
         """Make the recorder for `record` and `view`. None if neither was given."""
         if self.record is None and not self.view:
             return None
@@ -192,7 +184,7 @@ class RecordOptions:
             with require_extra("the viewer", "view"):
                 from acsar_gym.tools.view import show
             sinks.append(show.show_live())
-        recorder = Recorder(self.record, {"command": command, **about}, sinks=sinks)
+        recorder = Recorder(self.record, {"command": COMMAND.get(), **about}, sinks=sinks)
         _recorders.append(recorder)
         return recorder
 

@@ -25,12 +25,8 @@ from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies.policy import Actions, FilePolicy, PolicyContext
 
 MAX_SOURCE_BYTES = 10_000_000
+_FILE = re.compile(r"\.py(:[^:]*)?$")
 _MODULE_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
-
-
-def _is_file(policy: str) -> bool:
-    """Whether a policy argument means a Python file."""
-    return policy.endswith(".py") or policy.rpartition(":")[0].endswith(".py")
 
 
 def is_callable(policy: Any) -> bool:
@@ -39,7 +35,7 @@ def is_callable(policy: Any) -> bool:
     Args:
         policy: Such as "mine.py", "mine.py:act", "mine.module:Planner", or anything but a text.
     """
-    if not isinstance(policy, str) or _is_file(policy):
+    if not isinstance(policy, str) or _FILE.search(policy):
         return True
     return _MODULE_NAME.fullmatch(policy) is not None and not Path(policy).exists()
 
@@ -73,16 +69,14 @@ class CallablePolicy(FilePolicy):
 
     def __init__(self, policy: Any, env_id: str = "") -> None:
         self._source = ""
-        if not isinstance(policy, str):
+        module: Any = None
+        code = policy
+        if isinstance(policy, str):
+            module, code = self._import(policy)
+        else:
             self.instance = policy
             self._name = getattr(policy, "__name__", type(policy).__name__)
             self.path = Path(self._name)
-            module: ModuleType | None = None
-            code = policy
-        elif _is_file(policy):
-            module, code = self._load_file(policy)
-        else:
-            module, code = self._load_module(policy)
 
         if not callable(code):
             functions = [name for name, value in vars(module).items() if callable(value)]
@@ -97,52 +91,54 @@ class CallablePolicy(FilePolicy):
                 f"{self.path}: names no environment: pass --env point_goal or another, or set "
                 "ENV_ID in it"
             )
-        self._act = self._make(code) if isinstance(code, type) else code
 
-    def _load_module(self, policy: str) -> tuple[ModuleType, Any]:
-        """Import "module:NAME". A module in the current folder is found as well."""
+        # A baseline needs to know its env to be made.
+        self._act = code
+        if isinstance(code, type):
+            arguments = (self.env_id,) if issubclass(code, FilePolicy) else ()
+            self._act = self._call("can't be made", code, *arguments)
+            if not callable(self._act):
+                raise PolicyError(f"{self.path}: {self._name} has no method __call__")
+
+    def _import(self, policy: str) -> tuple[ModuleType, Any]:
+        """Return module and object of "FILE.py:NAME" or "module:NAME"."""
+        place, _, self._name = policy.rpartition(":")
+        if policy.endswith(".py"):
+            place = policy
+            self._name = ""
+        if place.endswith(".py"):
+            self.path = Path(place)
+            self.function = self._name
+            module = self._run_file(place)
+            return module, getattr(module, self._name, None)
+
+        # A module in the current folder is found as well.
         self.path = Path(policy)
-        self._name = policy.rpartition(":")[2]
         with reading.find_modules_here():
             code = reading.import_object("policy", policy)
-        module = sys.modules[policy.partition(":")[0]]
+        module = sys.modules[place]
         self._source = str(getattr(module, "__file__", None) or "")
         if self._source:
             self.sha256 = hashlib.sha256(Path(self._source).read_bytes()).hexdigest()
         return module, code
 
-    def _load_file(self, policy: str) -> tuple[ModuleType, Any]:
-        """Run "FILE.py:NAME" as a module, with the modules of its folder."""
-        self._source, _, name = policy.rpartition(":")
-        if policy.endswith(".py"):
-            self._source = policy
-            name = ""
-        self._name = name
-        self.function = name
-        self.path = Path(self._source)
-        source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
+    def _run_file(self, path: str) -> ModuleType:
+        """Run a file as a module, with the modules of its folder."""
+        self._source = path
+        source = reading.read_file(Path(path), MAX_SOURCE_BYTES, PolicyError)
         self.sha256 = hashlib.sha256(source).hexdigest()
-
-        module = ModuleType(f"acsar_gym_policy_{self.path.stem}")
-        module.__file__ = self._source
-        folder = str(self.path.resolve().parent)
+        module = ModuleType(f"acsar_gym_policy_{Path(path).stem}")
+        module.__file__ = path
+        folder = str(Path(path).resolve().parent)
         if folder not in sys.path:
             sys.path.append(folder)
         sys.modules[module.__name__] = module  # dataclasses and pickle look for modules there
 
         def run() -> None:
-            exec(compile(source, self.path, "exec"), vars(module))  # noqa: S102 - named by the user
+            exec(compile(source, path, "exec"), vars(module))  # noqa: S102 - named by the user
 
         self._call("can't be run", run)
-        return module, getattr(module, name, None) if name else None
-
-    def _make(self, kind: type) -> Any:
-        """Make an object of a class."""
-        arguments = (self.env_id,) if issubclass(kind, FilePolicy) else ()
-        policy = self._call("can't be made", kind, *arguments)
-        if not callable(policy):
-            raise PolicyError(f"{self.path}: {self._name} has no method __call__")
-        return policy
+        return module
 
     def bind(self, setting: PolicyContext) -> None:
         """Call `bind` of the object, if it has this method. PolicyError if that fails."""
@@ -161,6 +157,7 @@ class CallablePolicy(FilePolicy):
         except AcsarError:
             raise
         except (Exception, SystemExit) as error:
+            # The last line of the user's own file, not of a library that it calls.
             frames = traceback.extract_tb(error.__traceback__)
             lines = [frame.lineno for frame in frames if frame.filename == self._source]
             lines += [error.lineno] if isinstance(error, SyntaxError) else []

@@ -21,7 +21,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.section import Section
 from acsar_gym.envs.ids import full_id, strip_module
 from acsar_gym.envs.robot_env import RobotEnv
-from acsar_gym.errors import AcsarError, ConfigError, PolicyError, escape_unprintable
+from acsar_gym.errors import ConfigError, PolicyError, escape_unprintable
 from acsar_gym.physics import Randomization
 from acsar_gym.physics.model import turn_factor
 from acsar_gym.physics.randomization import TABLE, Rule
@@ -33,7 +33,6 @@ from acsar_gym.vector.env import RobotVectorEnv
 
 DOCUMENT_KEY = "acsar_gym.policy"
 """Key of the document among the metadata of an ONNX file, and attribute of a model of SB3."""
-MAX_DOCUMENT_BYTES = 500_000
 MAX_QUOTED_CHARS = 100
 """Longest text from a file in a message."""
 MARGIN = 0.2
@@ -109,9 +108,10 @@ def _show(value: Any) -> str:
     """Format a value, numbers and ranges in few digits."""
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, list | tuple) and len(value) == 2 and isinstance(value[0], float):
-        return " to ".join(f"{end:.4g}" for end in sorted({*value}))
     if isinstance(value, list | tuple):
+        is_range = len(value) == 2 and all(isinstance(end, float) for end in value)
+        if is_range:
+            return " to ".join(f"{end:.4g}" for end in sorted({*value}))
         return ", ".join(map(str, value))
     return value if isinstance(value, str) else json.dumps(value)
 
@@ -127,6 +127,7 @@ def parse_document(metadata: Mapping[str, str]) -> PolicyDocument:
     Raises:
         PolicyError: There is none, or it is damaged.
     """
+    # A foreign network, or a file of an older version.
     text = metadata.get(DOCUMENT_KEY)
     if text is None:
         raise PolicyError(
@@ -134,8 +135,6 @@ def parse_document(metadata: Mapping[str, str]) -> PolicyDocument:
             "for: export it again with 'acsar-gym policy MODEL.zip --out FILE --trust' or "
             "acsar_gym.tools.policies.save"
         )
-    if len(text) > MAX_DOCUMENT_BYTES:
-        raise PolicyError(f"its document is larger than {MAX_DOCUMENT_BYTES:,} bytes")
     try:
         return PolicyDocument.model_validate(reading.parse_json(text))
     except ConfigError as error:
@@ -161,26 +160,25 @@ def describe_policy(
         training: How it was trained.
 
     Raises:
-        PolicyError: The width isn't one of whole sensors, or a name is too long.
+        PolicyError: The width isn't one of whole sensors.
+        ConfigError: A name is too long.
     """
     sensors = take_sensors(env.task, env.sensors, width)
+    # A batch may have a robot of its own in each place.
     robots = set(env.fleet) if isinstance(env, RobotVectorEnv) else {env.robot.config}
     sees_lidar = any(sensor.name == LIDAR for sensor in sensors)
 
-    try:
-        return PolicyDocument(
-            env=strip_module(full_id(env_id)),
-            options=task_options(env.task),
-            worlds="" if env.pool is None else str(env.pool),
-            observation=tuple(describe_observation(env.task, sensors)),
-            width=len(env.task.observation) + sum(sensor.size for sensor in sensors),
-            scale=observation_scale(env.task),
-            rate=env_policy_rate(env),
-            robot=robot_ranges(robots, randomization, lidar=sees_lidar),
-            training=to_plain_json(dict(training or {})),
-        )
-    except AcsarError as error:
-        raise PolicyError(f"the policy can't be described: {error}") from error
+    return PolicyDocument(
+        env=strip_module(full_id(env_id)),
+        options=task_options(env.task),
+        worlds="" if env.pool is None else str(env.pool),
+        observation=tuple(describe_observation(env.task, sensors)),
+        width=len(env.task.observation) + sum(sensor.size for sensor in sensors),
+        scale=observation_scale(env.task),
+        rate=env_policy_rate(env),
+        robot=robot_ranges(robots, randomization, lidar=sees_lidar),
+        training=to_plain_json(dict(training or {})),
+    )
 
 
 def take_sensors(task: Task, sensors: Sequence[Sensor], width: int | None) -> Sequence[Sensor]:
@@ -265,6 +263,7 @@ def robot_ranges(
     ranges: dict[str, Range] = {}
     for config in robots:
         numbers = robot_numbers(config)
+        # What an episode can draw counts as seen in the training.
         varied = Randomization.of(randomization, config)
         for parameter in varied.names:
             _widen(numbers, parameter, getattr(varied, parameter))
@@ -305,12 +304,15 @@ def check_observation(
     kept = sensors[: max(len(document.observation) - len(task.observation), 1)]
     lines = describe_observation(task, kept)
     pairs = itertools.zip_longest(document.observation, lines, fillvalue="nothing")
-    facts: dict[str, tuple[Any, Any]] = {f"observation[{n}]": pair for n, pair in enumerate(pairs)}
-    facts["width"] = (document.width, len(task.observation) + sum(s.size for s in kept))
-    facts["scale"] = (document.scale, observation_scale(task))
-    facts["rate"] = (document.rate, rate or document.rate)
+    width = len(task.observation) + sum(sensor.size for sensor in kept)
+    facts: list[tuple[str, Any, Any]] = [
+        *((f"observation[{place}]", *pair) for place, pair in enumerate(pairs)),
+        ("width", document.width, width),
+        ("scale", document.scale, observation_scale(task)),
+        ("rate", document.rate, rate or document.rate),
+    ]
 
-    for field, (trained, current) in facts.items():
+    for field, trained, current in facts:
         are_numbers = isinstance(trained, float) and isinstance(current, float)
         are_close = are_numbers and math.isclose(trained, current, rel_tol=1e-6)
         if trained != current and not are_close:
@@ -322,6 +324,7 @@ def check_observation(
 
 def list_differences(document: PolicyDocument, task: Task, config: RobotConfig) -> list[str]:
     """Return how a task and a robot differ from those of the training, as lines for people."""
+    # An option that only one of the two versions has can't be compared.
     options = task_options(task)
     lines = [
         f"{name} was {_quote(trained)} in the training and is {_show(options[name])} in this task"
@@ -349,6 +352,7 @@ def _list_outside(
     numbers = robot_numbers(config)
     lines = []
     for name, (low, high) in document.robot.items():
+        # A share of zero would be no margin.
         margin = max(relative * max(abs(low), abs(high)), absolute)
         values = numbers.get(name, [])
         if any(not low - margin <= value <= high + margin for value in values):

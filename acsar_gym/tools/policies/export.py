@@ -42,33 +42,30 @@ class Normalizer(torch.nn.Module):
 class Actor(torch.nn.Module):
     """Calls a network of another library in its own way. See `policies.actor`."""
 
-    def __init__(self, network: torch.nn.Module, call: Callable[[Any, Any], Any]) -> None:
+    def __init__(self, network: torch.nn.Module, call: Callable[..., Any]) -> None:
         super().__init__()
         self.network = network
         self.call = call
 
-    def forward(self, observation: torch.Tensor) -> Any:
-        """Map observations (batch, n) to actions (batch, 2)."""
-        return self.call(self.network, observation)
+    def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
+        """Map observations (batch, n), and states if there are any, to actions (batch, 2)."""
+        return self.call(self.network, observation, *states)
 
 
 class _PolicyModule(torch.nn.Module):
-    """The exported module: normalizer, then network, then clipping to [-1, 1]."""
+    """The exported module: normalizer, then network, then clipping to [-1, 1].
+
+    A recurrent network also maps each state to the next state.
+    """
 
     def __init__(self, network: torch.nn.Module, normalizer: torch.nn.Module | None) -> None:
         super().__init__()
         self.normalizer = normalizer or torch.nn.Identity()
         self.network = network
 
-    def forward(self, observation: torch.Tensor) -> Any:
-        return torch.clamp(self.network(self.normalizer(observation)), -1.0, 1.0)
-
-
-class _RecurrentModule(_PolicyModule):
-    """The same for a recurrent network, which also maps each state to the next state."""
-
     def forward(self, observation: torch.Tensor, *states: torch.Tensor) -> Any:
-        action, *next_states = self.network(self.normalizer(observation), *states)
+        returned = self.network(self.normalizer(observation), *states)
+        action, *next_states = returned if states else (returned,)
         return torch.clamp(action, -1.0, 1.0), *next_states
 
 
@@ -76,9 +73,11 @@ def make_normalizer(source: Any) -> torch.nn.Module | None:
     """Convert the `normalizer` argument of `save` to a module."""
     if source is None or isinstance(source, torch.nn.Module):
         return source
-    if not isinstance(source, tuple | list) or len(source) not in (2, 3):
-        raise PolicyError("normalizer: must be (mean, std), (mean, std, clip) or a torch module")
-    return Normalizer(*source)
+    try:
+        return Normalizer(*source)
+    except TypeError as error:
+        reason = "must be (mean, std), (mean, std, clip) or a torch module"
+        raise PolicyError(f"normalizer: {reason}") from error
 
 
 def export_network(
@@ -99,8 +98,9 @@ def export_network(
     Raises:
         PolicyError: The network doesn't fit the document, or is too large.
     """
+    # The example must be on the device of the weights.
     weight = next(network.parameters(), torch.zeros(0))
-    module = (_RecurrentModule if states else _PolicyModule)(network, normalizer).to(weight.device)
+    module = _PolicyModule(network, normalizer).to(weight.device)
     shapes = [(1, document.width), *states]
     example = tuple(torch.zeros(*shape, device=weight.device) for shape in shapes)
     names = [f"state_{number}" for number in range(len(states))]
@@ -146,16 +146,16 @@ def _remove_traces(model: Any) -> None:
 
 def _check_module(module: torch.nn.Module, example: tuple[torch.Tensor, ...]) -> None:
     """Run the module once. PolicyError unless action and states are as they must be."""
+    # A wrong module is refused here, as errors of the exporter take a page.
     try:
         with torch.no_grad():
-            returned = module(*example)
+            results = module(*example)
     except Exception as error:
         shape = f"(batch, {example[0].shape[1]})"
         raise PolicyError(
             f"the module doesn't take observations of shape {shape}: {format_error(error)}"
         ) from error
 
-    results = returned if isinstance(returned, tuple) else (returned,)
     shapes = [tuple(result.shape) for result in results]
     expected = [(1, 2), *(tuple(state.shape) for state in example[1:])]
     if shapes != expected:

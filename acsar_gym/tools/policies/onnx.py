@@ -59,13 +59,14 @@ class OnnxPolicy(FilePolicy):
 
     def __init__(self, path: str | Path) -> None:
         self.path = resolve(path)
-        self._load(reading.read_file(self.path, MAX_POLICY_BYTES, PolicyError))
+        content = reading.read_file(self.path, MAX_POLICY_BYTES, PolicyError)
+        self.sha256 = hashlib.sha256(content).hexdigest()
+        self._load(content)
         self.env_id = self.document.env
 
     def _load(self, content: bytes) -> None:
         """Load the network, and decide once on zeros."""
         self._content = content
-        self.sha256 = hashlib.sha256(content).hexdigest()
         try:
             self._session = _load_session(content)
             metadata = self._session.get_modelmeta().custom_metadata_map
@@ -77,6 +78,7 @@ class OnnxPolicy(FilePolicy):
         self.width = self.document.width
         self.scale = self.document.scale
         self.reset()
+        # A file of another exporter may be fixed to one observation.
         has_free_batch = isinstance(self._session.get_inputs()[0].shape[0], str)
         if has_free_batch and not self._states:
             self.act_many = self._act_many
@@ -88,9 +90,7 @@ class OnnxPolicy(FilePolicy):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        sha256 = self.sha256
         self._load(self._content)
-        self.sha256 = sha256  # a zip's, if it was made of one
 
     def _check_network(self) -> None:
         """Find the states, and check that an observation of zeros gets the same action twice."""
@@ -108,17 +108,19 @@ class OnnxPolicy(FilePolicy):
         self.reset()
         zeros = {"observation": np.zeros((1, self.document.width), np.float32), **self._states}
         try:
-            (action, *states), (again, *_) = (self._session.run(None, zeros) for _ in range(2))
+            results, (again, *_) = (self._session.run(None, zeros) for _ in range(2))
         except Exception as error:  # onnxruntime's errors have no common base of their own
             raise PolicyError(
                 f"doesn't decide for {self.document.width} numbers: {format_error(error)}"
             ) from error
-        if action.shape != (1, 2) or action.dtype != np.float32 or not np.isfinite(action).all():
-            text = str(action.tolist())[:100]
-            raise PolicyError(f"gives {text} for zeros: must be (1, 2) finite float32 numbers")
-        if [[*state.shape] for state in states] != [[*s] for s in self._state_shapes.values()]:
-            raise PolicyError("gives other states than it takes")
-        if not np.array_equal(action, again):
+        shapes = [[*result.shape] for result in results]
+        are_numbers = all(r.dtype == np.float32 and np.isfinite(r).all() for r in results)
+        if shapes != [[1, 2], *self._state_shapes.values()] or not are_numbers:
+            raise PolicyError(
+                f"gives {str(results[0].tolist())[:100]} for zeros: must be (1, 2) finite float32 "
+                "numbers, then the states that it takes"
+            )
+        if not np.array_equal(results[0], again):
             raise PolicyError("decides at random: must give the same action for the same input")
 
     def check(
@@ -143,6 +145,7 @@ class OnnxPolicy(FilePolicy):
             documents.check_observation(self.document, task, sensors, policy_rate)
         except PolicyError as error:
             raise PolicyError(f"{self.path}: {error}") from error
+        # These are warnings: the caller decides what real wheels may do.
         if config is not None:
             self.differences = tuple(documents.list_differences(self.document, task, config))
             self.outside = tuple(documents.list_outside(self.document, config))
@@ -168,6 +171,7 @@ class OnnxPolicy(FilePolicy):
                 f"{self.path}: got an observation of shape {observation.shape}: must be "
                 f"({self.width},), or longer"
             )
+        # The last sensors may be left out of the policy.
         batch = observation[None, : self.width].astype(np.float32)
         actions, *states = self._session.run(None, {"observation": batch, **self._states})
         self._states = dict(zip(self._states, states, strict=True))

@@ -153,6 +153,7 @@ def resolve(path: str | Path, baselines: Iterable[str] = ()) -> Path:
         assert resolve("point_goal").suffix == ".onnx"
     """
     path = Path(path)
+    # A folder such as crowd/ would hide the packaged policy of this name.
     packaged = AGENTS / "policies" / f"{path}.onnx"
     if packaged.exists() and not path.is_file():
         return packaged
@@ -238,6 +239,7 @@ class PolicyContext:
         Returns:
             The setting of its policy.
         """
+        # The sensors' numbers follow those of the task, in their order.
         task = env.task
         rays = None
         first = len(task.observation)
@@ -267,6 +269,7 @@ class PolicyContext:
         Returns:
             A new generator, seeded by the name and the episode's seed.
         """
+        # A CRC, as hash() of a text differs from process to process.
         seed = max(int(self.episode_seed() or 0), 0)
         return np.random.default_rng([zlib.crc32(name.encode()), seed])
 

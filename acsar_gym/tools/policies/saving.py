@@ -102,6 +102,7 @@ def planar_env(env_id: str, **env_kwargs: Any) -> Iterator[RobotEnv]:
     Raises:
         ConfigError: There is no such environment, or it doesn't take these arguments.
     """
+    # Planar needs no extra, and the document doesn't depend on the body.
     try:
         env = gymnasium.make(find_id(env_id), link="planar", **env_kwargs).unwrapped
     except (gymnasium.error.Error, ImportError, TypeError) as error:

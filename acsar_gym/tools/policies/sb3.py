@@ -63,6 +63,7 @@ class BatchVecEnv(VecEnv):
             ConfigError: An option is unknown, or robots have options of their own: use one dict,
                 whose values may have one row per robot.
         """
+        # A batch is reset as a whole.
         options = self._options[0]
         if self._options != [options] * self.num_envs:
             raise ConfigError(
@@ -86,6 +87,7 @@ class BatchVecEnv(VecEnv):
             robot.
         """
         observations, rewards, terminated, truncated, info = self._batch.step(self._actions)
+        # Infos of hundreds of robots would cost more than the step: most are one empty dict.
         done = terminated | truncated
         infos = [_NO_INFO] * self.num_envs
         for robot in np.flatnonzero(done):
@@ -95,6 +97,7 @@ class BatchVecEnv(VecEnv):
 
     def _describe_end(self, robot: int, info: dict[str, Any]) -> dict[str, Any]:
         """Return the info of a robot whose episode has ended."""
+        # The batch has already begun the next episode: its info is of that.
         final = {name: row[robot] for name, row in info["final_info"].items()}
         described = {name: final[name] for name in final if name.startswith("drawn_")}
         if "world" in final:

@@ -24,7 +24,7 @@ from acsar_gym.tools.policies.document import (
     describe_policy,
     parse_document,
 )
-from acsar_gym.tools.policies.export import Normalizer, Shape, export_network
+from acsar_gym.tools.policies.export import Actor, Normalizer, Shape, export_network
 from acsar_gym.tools.policies.saving import planar_env
 
 with require_extra("stable-baselines3", "train"):
@@ -43,28 +43,17 @@ INFERENCE_OBJECTS = {"learning_rate": 0.0, "lr_schedule": None, "clip_range": 0.
 """Replace what only training needs. Other Python versions may not unpickle schedules."""
 
 
-class _Actor(torch.nn.Module):
-    """Maps observations (batch, n) to the deterministic actions of a policy."""
-
-    def __init__(self, policy: BasePolicy) -> None:
-        super().__init__()
-        self.policy = policy
-
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        return self.policy._predict(observation, deterministic=True)  # noqa: SLF001
+def _decide(policy: Any, observation: Any) -> Any:
+    """Map observations (batch, n) to the deterministic actions of a policy."""
+    return policy._predict(observation, deterministic=True)  # noqa: SLF001
 
 
-class _RecurrentActor(_Actor):
+def _decide_by_memory(policy: Any, observation: Any, *states: Any) -> Any:
     """The same for a policy of RecurrentPPO, whose states are those of the actor's LSTM."""
-
-    def forward(  # type: ignore[override]  # takes states
-        self, observation: torch.Tensor, hidden: torch.Tensor, cell: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        policy: Any = self.policy
-        features = policy.extract_features(observation, policy.pi_features_extractor)
-        latent, (hidden, cell) = policy.lstm_actor(features.unsqueeze(0), (hidden, cell))
-        action = policy.action_net(policy.mlp_extractor.forward_actor(latent.squeeze(0)))
-        return action, hidden, cell
+    features = policy.extract_features(observation, policy.pi_features_extractor)
+    latent, next_states = policy.lstm_actor(features.unsqueeze(0), states)
+    action = policy.action_net(policy.mlp_extractor.forward_actor(latent.squeeze(0)))
+    return action, *next_states
 
 
 def label(model: BaseAlgorithm, document: PolicyDocument) -> None:
@@ -85,11 +74,11 @@ def export_policy(
     Raises:
         PolicyError: The policy doesn't fit the document, or can't be exported.
     """
-    actor: torch.nn.Module = _Actor(policy)
+    actor = Actor(policy, _decide)
     states: tuple[Shape, ...] = ()
     lstm: Any = getattr(policy, "lstm_actor", None)
     if lstm is not None:
-        actor = _RecurrentActor(policy)
+        actor = Actor(policy, _decide_by_memory)
         states = ((lstm.num_layers, 1, lstm.hidden_size),) * 2
 
     torch.distributions.Distribution.set_default_validate_args(False)  # can't be exported
@@ -168,6 +157,7 @@ def _find_width(policy: BasePolicy, env: RobotEnv) -> int:
     Raises:
         PolicyError: The spaces of the policy aren't those of the env.
     """
+    # The last sensors may be left out, so only the first numbers are compared.
     observed: Any = env.observation_space
     space: Any = policy.observation_space
     width = len(space.low)
@@ -196,6 +186,7 @@ def _find_statistics(data: Mapping[str, Any], path: Path, named: str | Path | No
         return None if str(named) == "none" else Path(named)
     if not _is_normalized(data):
         return None
+    # Next to the model, as its own example and RL Zoo save it.
     for pattern in STATISTICS_PATTERNS:
         for file in sorted(path.parent.glob(pattern)):
             return file
@@ -217,6 +208,7 @@ def _is_normalized(data: Mapping[str, Any]) -> bool:
     original = data.get("_last_original_obs")
     if normalized is None or original is None or np.array_equal(normalized, original):
         return False
+    # Normalized numbers are seldom all within the bounds of the original ones.
     space = data["observation_space"]
     is_outside = bool(((normalized < space.low) | (normalized > space.high)).any())
     return is_outside or "replay_buffer_class" not in data

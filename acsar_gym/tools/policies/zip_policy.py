@@ -57,13 +57,7 @@ class ZipPolicy(OnnxPolicy):
         content = reading.read_file(self.path, MAX_ZIP_BYTES, PolicyError)
         if not _is_model(content):
             raise PolicyError(f"{self.path}: isn't a zip of a stable-baselines3 model")
-        if not trust:
-            raise PolicyError(
-                f"{self.path}: a stable-baselines3 zip can run any code when it's loaded: pass "
-                "--trust if you made it or trust its author, or convert it once with "
-                f"'acsar-gym policy {self.path} --out policy.onnx --trust'"
-            )
-
+        check_trust(self.path, trust=trust)
         with require_extra("loading a stable-baselines3 zip", "train"):
             from acsar_gym.tools.policies import sb3_export  # noqa: PLC0415
         try:
@@ -75,6 +69,15 @@ class ZipPolicy(OnnxPolicy):
         self.sha256 = hashlib.sha256(content).hexdigest()
         self.env_named = bool(env_id)
         self.env_id = env_id or self.document.env
+
+
+def check_trust(path: Path, *, trust: bool) -> None:
+    """Raise PolicyError for a zip that the user doesn't trust."""
+    if not trust:
+        raise PolicyError(
+            f"{path}: a stable-baselines3 zip can run any code when it's loaded: pass --trust if "
+            "you made it or trust its author"
+        )
 
 
 def _is_model(content: bytes) -> bool:

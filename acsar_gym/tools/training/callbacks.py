@@ -1,15 +1,13 @@
-"""Callbacks of a training: held-out scores, checkpoints, and progress. Imports torch."""
+"""What happens between the rollouts of a training: scores, checkpoints, progress. Imports torch."""
 
 from __future__ import annotations
 
-import csv
 import time
 from pathlib import Path
 from statistics import fmean
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rich.progress import Progress
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -19,47 +17,26 @@ from acsar_gym import reading
 from acsar_gym.tools.evaluation.episode import describe_end
 from acsar_gym.tools.training import folders
 from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED
+from acsar_gym.tools.training.plan import Score, TrainingPlan
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds.crowd import PERSON_HIT
 
 DRAWN_COLUMNS = ("success_rate", "mean_return", "collision_rate")
-AXES = {"steps": "env steps", "seconds": "time [s]"}
-
-
-class Score(NamedTuple):
-    """Rates and means over held-out episodes, a row of the learning curve."""
-
-    steps: int
-    """Env steps of the training."""
-    seconds: float
-    """Time since the start of the training."""
-    success_rate: float
-    collision_rate: float
-    """Touched an obstacle, or ran into somebody."""
-    struck_rate: float
-    """Somebody ran into the robot."""
-    mean_return: float
-    mean_length: float
-    """Policy steps of an episode."""
+CHECKPOINT_SECONDS = 60.0
+"""Time between two checkpoints [s]. A killed training loses up to this and a rollout."""
 
 
 class TargetReached(Exception):  # noqa: N818 - ends a training, and isn't an error
     """The held-out success rate has reached the target."""
 
 
-class RolloutCallback(BaseCallback):
-    """A callback that does nothing within a rollout."""
+class TrainingWatch(BaseCallback):
+    """Scores the policy, writes checkpoints and shows progress, between two rollouts.
 
-    def _on_step(self) -> bool:
-        return True
-
-
-class HeldOutScores(RolloutCallback):
-    """Evaluates the deterministic policy on a batch of robots that isn't used for training.
-
-    It does so after the first rollout, then every `interval` steps, and when `finish` is called.
-    Scores are logged under eval/ and written to learning_curve.csv. A score that reaches the target
-    raises TargetReached.
+    Scores are of the deterministic policy on a batch of robots that isn't used for training, after
+    the first rollout, then at the plan's intervals, and when `finish` is called. They are logged
+    under eval/ and written to learning_curve.csv. A score that reaches the target raises
+    TargetReached.
 
     Attributes:
         batch: The robots.
@@ -67,15 +44,20 @@ class HeldOutScores(RolloutCallback):
     """
 
     def __init__(
-        self, batch: RobotVectorEnv, out: Path, interval: int, target: float | None = None
+        self, plan: TrainingPlan, batch: RobotVectorEnv, out: Path, bar: Progress | None = None
     ) -> None:
         super().__init__()
         self.batch = batch
         self.curve: list[Score] = []
+        self._plan = plan
+        self._out = out
         self._file = out / "learning_curve.csv"
-        self._interval = interval
-        self._target = 2.0 if target is None else target
+        self._bar = bar
+        # A seed among several has no bar of its own.
+        if bar is not None:
+            bar.add_task("", total=plan.recipe.steps)
         self._started = time.monotonic()
+        self._saved = self._started
 
     @property
     def score(self) -> Score | None:
@@ -85,29 +67,67 @@ class HeldOutScores(RolloutCallback):
     @property
     def is_reached(self) -> bool:
         """Whether a score of the current policy has reached the target."""
-        if self.score is None or self.score.steps < self.num_timesteps:
+        target = self._plan.options.target
+        if target is None or self.score is None or self.score.steps < self.num_timesteps:
             return False
-        return self.score.success_rate >= self._target
+        return self.score.success_rate >= target
 
     @property
     def seconds(self) -> float:
         """Time since the start of the training [s]."""
         return time.monotonic() - self._started
 
+    def _on_step(self) -> bool:
+        return True
+
     def _on_training_start(self) -> None:
         if self._file.exists():
             rows = np.loadtxt(self._file, delimiter=",", skiprows=1, ndmin=2).tolist()
             scores = [Score(int(steps), *figures) for steps, *figures in rows]
             self.curve = [score for score in scores if score.steps <= self.num_timesteps]
+        # Its clock goes on from there.
         if self.score:
             self._started -= self.score.seconds
 
+    def _on_rollout_start(self) -> None:
+        # Nothing is learnt before the first rollout, which also compiles.
+        now = time.monotonic()
+        if self.n_calls == 0:
+            self._saved = now
+        elif now >= self._saved + CHECKPOINT_SECONDS:
+            folders.write_checkpoint(self.model, self._out)
+            self._saved = time.monotonic()
+
     def _on_rollout_end(self) -> None:
-        last_steps = self.score.steps if self.score else -self._interval
-        if self.num_timesteps // self._interval > last_steps // self._interval:
+        # stable-baselines3 logs means over the last episodes. All robots start at the same time, so
+        # the first episodes to end are quick successes: nothing is logged until all have ended one.
+        buffers: Any = self.model
+        buffers.ep_success_buffer.clear()
+        if self.num_timesteps < self._plan.episode_steps * self.training_env.num_envs:
+            buffers.ep_info_buffer.clear()
+
+        interval = self._plan.evaluation_interval
+        last_steps = self.score.steps if self.score else -interval
+        is_due = self.num_timesteps // interval > last_steps // interval
+        if is_due:
             self._evaluate()
             if self.is_reached:
                 raise TargetReached
+        if self._bar is not None:
+            self._show_progress(self._bar, is_scored=is_due)
+
+    def _show_progress(self, bar: Progress, *, is_scored: bool) -> None:
+        """Update the bar, or print a line for a new score if there is no terminal."""
+        (task,) = bar.tasks
+        bar.update(task.id, completed=self.num_timesteps)
+        line = f"{task.completed:,.0f} of {task.total:,.0f} steps"
+        if task.speed:  # it leaves out the first rollout, which compiles
+            line += f", {task.speed:,.0f} a second"
+        if self.score:
+            line += f", held-out success {self.score.success_rate:.1%}"
+        bar.update(task.id, description=line)
+        if bar.disable and is_scored:
+            print(line, flush=True)
 
     def finish(self) -> None:
         """Score the policy after its last update."""
@@ -124,9 +144,7 @@ class HeldOutScores(RolloutCallback):
         # The last update has outdated a score of as many steps.
         score = Score(self.num_timesteps, round(self.seconds, 2), **figures)
         self.curve = [*(old for old in self.curve if old.steps < score.steps), score]
-        with reading.replace_file(self._file) as new, new.open("w", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerows([Score._fields, *self.curve])
+        folders.write_table(self._file, Score._fields, self.curve)
 
 
 def evaluate_held_out(model: BaseAlgorithm, batch: RobotVectorEnv) -> dict[str, float]:
@@ -170,85 +188,16 @@ def evaluate_held_out(model: BaseAlgorithm, batch: RobotVectorEnv) -> dict[str, 
 
 
 def draw_curve(out: Path, curve: list[Score], title: str) -> None:
-    """Draw success, return and collisions over steps and over time as a picture in `out`."""
+    """Draw success, return and collisions over steps as a picture in `out`."""
+    # Without pyplot, which would keep the figure and may open a window.
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
-    FigureCanvasAgg(figure)
     figure.suptitle(title)
-    plots = figure.subplots(len(DRAWN_COLUMNS), len(AXES), sharey="row", sharex="col")
-    for line, column in zip(plots, DRAWN_COLUMNS, strict=True):
-        for plot, (axis, label) in zip(line, AXES.items(), strict=True):
-            xs = [getattr(score, axis) for score in curve]
-            plot.plot(xs, [getattr(score, column) for score in curve], marker=".")
-            plot.set(xlabel=label, ylabel=column.replace("_", " "))
-            plot.grid(visible=True)
-            plot.label_outer()
+    plots = figure.subplots(len(DRAWN_COLUMNS), sharex=True)
+    steps = [score.steps for score in curve]
+    for plot, column in zip(plots, DRAWN_COLUMNS, strict=True):
+        plot.plot(steps, [getattr(score, column) for score in curve], marker=".")
+        plot.set(ylabel=column.replace("_", " "))
+        plot.grid(visible=True)
+    plots[-1].set(xlabel="env steps")
     with reading.replace_file(out / "learning_curve.png") as new:
         figure.savefig(new, format="png", dpi=100)
-
-
-class CheckpointWriter(RolloutCallback):
-    """Writes a checkpoint between two rollouts, whenever some time has passed."""
-
-    def __init__(self, folder: Path, seconds: float) -> None:
-        super().__init__()
-        self._folder = folder
-        self._seconds = seconds
-        self._written = time.monotonic()
-
-    def _on_rollout_start(self) -> None:
-        if self.n_calls == 0:  # nothing is learnt yet
-            self._written = time.monotonic()
-        elif time.monotonic() >= self._written + self._seconds:
-            folders.write_checkpoint(self.model, self._folder)
-            self._written = time.monotonic()
-
-
-class WholeCohorts(RolloutCallback):
-    """Keeps the biased statistics of the first episodes out of the log.
-
-    stable-baselines3 logs means over the last finished episodes. All robots of a batch start at the
-    same time, so the first episodes to finish are quick successes, and the failures follow all at
-    once. So rollout/success_rate isn't logged, and rollout/ep_rew_mean and ep_len_mean only once
-    every robot has finished an episode.
-    """
-
-    def __init__(self, episode_steps: int) -> None:
-        super().__init__()
-        self._episode_steps = episode_steps
-
-    def _on_rollout_end(self) -> None:
-        buffers: Any = self.model
-        buffers.ep_success_buffer.clear()
-        if self.num_timesteps < self._episode_steps * self.training_env.num_envs:
-            buffers.ep_info_buffer.clear()
-
-
-class TrainingProgress(RolloutCallback):
-    """Updates a progress bar with env steps per second and the newest held-out success rate.
-
-    If the bar is disabled, it prints one line per evaluation instead. The speed leaves out the
-    first rollout, which compiles.
-    """
-
-    def __init__(self, bar: Progress, total: int, scores: HeldOutScores) -> None:
-        super().__init__()
-        self._bar = bar
-        self._task = bar.add_task("", total=total)
-        self._scores = scores
-        self._shown: Score | None = None
-
-    def _on_rollout_end(self) -> None:
-        self._bar.update(self._task, completed=self.num_timesteps)
-        task = self._bar.tasks[0]
-        score = self._scores.score
-        line = f"{task.completed:,.0f} of {task.total:,.0f} steps"
-        if task.speed:
-            line += f", {task.speed:,.0f} a second"
-        if score:
-            line += f", held-out success {score.success_rate:.1%}"
-
-        # Without a terminal: a line for each new score.
-        self._bar.update(self._task, description=line)
-        if self._bar.disable and score is not self._shown:
-            print(line, flush=True)
-        self._shown = score

@@ -7,13 +7,13 @@ to the same folder.
 from __future__ import annotations
 
 import contextlib
-import itertools
+import csv
 import json
 import platform
 import shlex
 import subprocess
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,7 @@ RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 """Their versions are recorded, in addition to those of every result."""
 GIT_TIMEOUT = 5.0
 """Time limit of git [s]."""
-CHANGEABLE_OPTIONS = ("steps", "target", "threads", "progress", "checkpoint_seconds", "device")
+CHANGEABLE_OPTIONS = ("steps", "target", "threads", "progress", "device")
 """Options that may change when a training goes on."""
 
 
@@ -53,21 +53,23 @@ def make_folder(out: Path | None, env: str) -> Path:
     Raises:
         ConfigError: `out` isn't empty, or a folder can't be made.
     """
+    folder = out or Path("runs") / env / "1"
     try:
         if out is not None:
             check_empty(out)
             out.mkdir(parents=True, exist_ok=True)
             return out
 
-        parent = Path("runs") / env
-        parent.mkdir(parents=True, exist_ok=True)
-        for number in itertools.count(1):
-            with contextlib.suppress(FileExistsError):  # another training's
-                (folder := parent / str(number)).mkdir()
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        while True:
+            try:
+                folder.mkdir()
+            except FileExistsError:  # another training's
+                folder = folder.with_name(str(int(folder.name) + 1))
+            else:
                 return folder
     except OSError as error:
-        raise ConfigError(f"--out {out or parent}: {explain_error(error)}") from error
-    raise AssertionError
+        raise ConfigError(f"--out {folder}: {explain_error(error)}") from error
 
 
 def check_empty(out: Path) -> None:
@@ -110,6 +112,7 @@ def describe_origin(options: TrainingOptions) -> dict[str, Any]:
 
 def training_command(options: TrainingOptions) -> str:
     """Return the command of a training, without folders: only the names of files elsewhere."""
+    # Policies contain the command and are published: it names no folder of a machine.
     words = ["acsar-gym", "train"]
     values = options.model_dump(mode="json", exclude_defaults=True, exclude={"out", "address"})
     for name, value in values.items():
@@ -127,22 +130,23 @@ def training_command(options: TrainingOptions) -> str:
 
 def git_revision() -> str | None:
     """Return the git revision of the package, with "-dirty" if files differ. None without git."""
-    command = ["git", "-C", str(PACKAGE.parent), "describe", "--always", "--dirty", "--abbrev=40"]
-    try:
-        done = subprocess.run(
-            [*command, "--exclude=*"],
-            check=False,
-            capture_output=True,
-            text=True,
-            timeout=GIT_TIMEOUT,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    is_checkout = (PACKAGE.parent / ".git").exists()  # not a repository around an installation
-    return (is_checkout and done.stdout.strip()) or None
+    # The folder is named, as an installation may be inside another project's repository.
+    command = ["git", f"--git-dir={PACKAGE.parent / '.git'}", f"--work-tree={PACKAGE.parent}"]
+    command += ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        return subprocess.check_output(
+            command, stderr=subprocess.DEVNULL, text=True, timeout=GIT_TIMEOUT
+        ).strip()
+    return None
 
 
-# Models
+# Models and tables
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """Write a CSV file, all of it or nothing."""
+    with reading.replace_file(path) as new, new.open("w", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([columns, *rows])
 
 
 def write_model(model: BaseAlgorithm, path: Path) -> None:
@@ -157,6 +161,13 @@ def write_model(model: BaseAlgorithm, path: Path) -> None:
         writer.save(new)
 
 
+def load_buffer(model: Any, path: Path) -> None:
+    """Load the replay buffer beside a model, if there is one. Can run code in it."""
+    buffer = path.with_name(BUFFER_FILE)
+    if buffer.exists():
+        model.load_replay_buffer(buffer)
+
+
 def write_checkpoint(model: BaseAlgorithm, folder: Path) -> None:
     """Write a checkpoint, named as by stable-baselines3, then remove older ones."""
     checkpoints = folder / CHECKPOINTS_FOLDER
@@ -167,6 +178,7 @@ def write_checkpoint(model: BaseAlgorithm, folder: Path) -> None:
 
 def find_models(folder: Path) -> list[Path]:
     """List the complete models in a folder and its checkpoints, the newest first."""
+    # A file that was cut has no steps.
     steps = {path: count_steps(path) for path in folder.rglob("*.zip")}
     complete = [path for path in steps if steps[path] >= 0]
     return sorted(complete, key=steps.__getitem__, reverse=True)
@@ -194,8 +206,6 @@ def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOpti
     Raises:
         ConfigError: The folder has no model, or is of another training.
     """
-    if options.out is not None and options.out.resolve() != folder.resolve():
-        raise ConfigError(f"--out {options.out}: {folder} goes on in its own folder: leave it out")
     config = folder / CONFIG_FILE
     with name_errors(f"--resume {folder}"):
         text = reading.decode_text(reading.read_file(config, MAX_CONFIG_BYTES))
@@ -208,7 +218,7 @@ def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOpti
             raise ConfigError("has no complete model yet: start a new training")
 
     # Whatever would make it another training is refused.
-    changes = options.model_dump(exclude_defaults=True, exclude={"out", "resume", "trust"})
+    changes = options.model_dump(exclude_defaults=True, exclude={"resume", "trust"})
     for name, value in changes.items():
         first_value = getattr(first_options, name)
         if name not in CHANGEABLE_OPTIONS and value != first_value:

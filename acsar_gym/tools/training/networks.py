@@ -79,6 +79,7 @@ class _BothImages(FlattenExtractor):
                 f"of {width} numbers"
             )
 
+        # Where each number of the mirror image comes from.
         order = list(range(width))
         for group in groups:
             order[group.start : group.stop] = reversed(group)
@@ -109,6 +110,7 @@ class _MirrorLayer(torch.nn.Module):
         self, layer: torch.nn.Linear, even: Sequence[int] = (), odd: Sequence[int] = ()
     ) -> None:
         super().__init__()
+        # Only the odd part without a bias keeps its sign in the mirror.
         inputs = layer.in_features
         outputs = layer.out_features
         self.even_units: Any = torch.nn.Buffer(torch.tensor(even)) if even else slice(None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 
@@ -35,6 +35,23 @@ FEW_UPDATES = 30
 """Fewer updates of the policy are hardly enough to learn anything."""
 PROBE_TIME = 0.25
 """Duration of the measurement of free cores [s]."""
+
+
+class Score(NamedTuple):
+    """Rates and means over held-out episodes, a row of the learning curve."""
+
+    steps: int
+    """Env steps of the training."""
+    seconds: float
+    """Time since the start of the training."""
+    success_rate: float
+    collision_rate: float
+    """Touched an obstacle, or ran into somebody."""
+    struck_rate: float
+    """Somebody ran into the robot."""
+    mean_return: float
+    mean_length: float
+    """Policy steps of an episode."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +100,11 @@ class TrainingPlan:
         return self.options.randomize and self.recipe.env_kwargs.get("randomization", True)
 
     @property
+    def held_out_robots(self) -> int:
+        """Robots in an evaluation: few leave the rate too uncertain to end a training."""
+        return HELD_OUT_ROBOTS if self.options.target is None else TARGET_ROBOTS
+
+    @property
     def evaluation_interval(self) -> int:
         """Steps between two held-out evaluations."""
         limit = MAX_EVALUATIONS * (1 if self.options.target is None else TARGET_EVALUATIONS)
@@ -109,8 +131,7 @@ class TrainingPlan:
 
     def make_held_out_batch(self, training: RobotVectorEnv) -> RobotVectorEnv:
         """Make the batch to evaluate on: no randomization, other worlds, and other drawn robots."""
-        # Few robots leave the rate too uncertain to end a training.
-        robots = HELD_OUT_ROBOTS if self.options.target is None else TARGET_ROBOTS
+        robots = self.held_out_robots
         robot = self.options.robot
         if drawn.PREFIX in (robot or ""):
             robot = "drawn:validation"
@@ -129,6 +150,7 @@ class TrainingPlan:
 
     def describe(self, training: RobotVectorEnv, held_out: RobotVectorEnv) -> Iterator[str]:
         """Yield lines about the training, before it starts."""
+        # The first line names what two trainings must share to be compared.
         worlds = "training on an open floor"
         if training.pool is not None:
             worlds = f"training in {training.pool}, evaluated in {held_out.pool}"
@@ -151,6 +173,7 @@ def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> 
     """
     if pool is None or not pool.generated:
         return None
+    # Equal shares of each set, so that the score is of the same mixture.
     names = []
     count = robots // len(pool.sets)
     for group in pool.sets:

@@ -23,7 +23,6 @@ from acsar_gym.worlds.registry import BUILT_IN_KINDS
 
 if TYPE_CHECKING:  # imports torch
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.vec_env import VecEnv
 
 BATCH_WRAPPER = "acsar_gym.tools.training.wrappers.batch"
 """The wrapper that makes a batch for RL Zoo. `train` makes the batch itself."""
@@ -100,10 +99,9 @@ class Recipe:
 
         # Only these may name classes.
         policy = {"policy": self.values.get("policy", "MlpPolicy")}
+        policy_kwargs = self.values.get("policy_kwargs") or {}
         arguments |= import_classes(policy, self.package)
-        arguments["policy_kwargs"] = import_classes(
-            self.values.get("policy_kwargs") or {}, self.package
-        )
+        arguments["policy_kwargs"] = import_classes(policy_kwargs, self.package)
 
         # What YAML and the number of robots don't allow otherwise.
         if isinstance(arguments.get("train_freq"), list):
@@ -113,13 +111,8 @@ class Recipe:
             arguments["batch_size"] = min(arguments["batch_size"], rollout)
         return arguments
 
-    def wrap_batch(self, batch: VecEnv) -> VecEnv:
-        """Return the batch in the recipe's wrappers."""
-        for wrapper in self._import_wrappers():
-            batch = wrapper(batch)
-        return batch
-
-    def _import_wrappers(self) -> list[Any]:
+    def import_wrappers(self) -> list[Any]:
+        """Return the functions that wrap the batch."""
         names = self.values.get("vec_env_wrapper") or []
         names = names if isinstance(names, list) else [names]
         return [
@@ -134,6 +127,7 @@ class Recipe:
         Raises:
             ConfigError: The algorithm has no such argument, or a value can't be used.
         """
+        # Its TypeError would name neither the file nor the nearest argument.
         signature = inspect.signature(load_algorithm(algo).__init__).parameters
         names = [*OWN_KEYS, *(name for name in signature if name not in TRAIN_ARGUMENTS)]
         for name in self.values:
@@ -144,7 +138,8 @@ class Recipe:
             if name in OPTION_ARGUMENTS:
                 raise ConfigError(f"env_kwargs: {name}: leave it out: train's options set it")
             _check_modules(f"env_kwargs: {name}", value, self.package)
-        self._import_wrappers()
+        # Both import classes, and raise for those that can't be.
+        self.import_wrappers()
         self.build_arguments()
 
 
@@ -167,17 +162,15 @@ def read_recipe(algo: str, env_id: str, file: Path | None = None, package: str =
         if not isinstance(entries, dict) or not {env_id, DEFAULT_KEY} & set(entries):
             raise ConfigError(f"has no {show_value(env_id)} and no '{DEFAULT_KEY}'")
 
-    # Numbers are read first, because they are needed to check the rest.
     key = env_id if env_id in entries else DEFAULT_KEY
     with name_errors(path, key):
-        values = entries[key]
-        if not isinstance(values, dict):
+        if not isinstance(entries[key], dict):
             raise ConfigError("must be hyperparameters by name")
-        counts = {
-            "n_timesteps": _read_count("n_timesteps", values.get("n_timesteps")),
-            "n_envs": _read_count("n_envs", values.get("n_envs", 1)),
-        }
-        recipe = Recipe(f"{path}: {key}", values | counts, package)
+        values = dict(entries[key])
+        values.setdefault("n_envs", 1)
+        for name in ("n_timesteps", "n_envs"):
+            values[name] = _read_count(name, values.get(name))
+        recipe = Recipe(f"{path}: {key}", values, package)
         recipe.check(algo)
     return recipe
 
@@ -196,6 +189,7 @@ def import_class(key: str, name: str, package: str = "") -> Any:
     Raises:
         ConfigError: A recipe may not name it, or it can't be imported.
     """
+    # Importing a module runs it, so a recipe of a stranger may import only what is listed.
     module, _, kind = name.rpartition(".")
     is_own = package and module.partition(".")[0] == package.partition(".")[0]
     if not (name in CLASSES or module in CLASS_MODULES or is_own):

@@ -6,11 +6,11 @@ import contextlib
 import os
 import shlex
 import signal
+import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -19,44 +19,42 @@ from acsar_gym.envs import ids
 from acsar_gym.errors import (
     AcsarError,
     ConfigError,
-    PolicyError,
     check_extra,
     escape_unprintable,
     explain_error,
     format_error,
 )
 from acsar_gym.tools.policies.document import PolicyDocument, describe_policy
+from acsar_gym.tools.policies.zip_policy import check_trust
 from acsar_gym.tools.training import folders
 from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED, TrainingOptions
-from acsar_gym.tools.training.plan import TrainingPlan
+from acsar_gym.tools.training.plan import Score, TrainingPlan
 from acsar_gym.tools.training.recipes import load_algorithm
 from acsar_gym.vector.env import RobotVectorEnv
 
 if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
     from stable_baselines3.common.base_class import BaseAlgorithm
-    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.vec_env import VecEnv
 
-    from acsar_gym.tools.training.callbacks import HeldOutScores, Score
+    from acsar_gym.tools.training.callbacks import TrainingWatch
 
 MAX_TORCH_THREADS = 2
 """Default limit of torch's threads. More don't help with networks this small."""
 
 
-@dataclass(frozen=True)
-class TrainingResult:
+class TrainingResult(NamedTuple):
     """The folder of a training, and what it achieved."""
 
     out: Path
-    steps: int
-    seconds: float
-    score: Score | None
+    score: Score
     """Of the held-out episodes after the training."""
 
 
 def train(options: TrainingOptions) -> TrainingResult:
     """Train a policy, save model and policy, and print the held-out score.
 
-    Ctrl-C and SIGTERM raise KeyboardInterrupt, after model and policy were saved.
+    Ctrl-C and SIGTERM raise KeyboardInterrupt, after model and policy were saved. SIGTERM ends the
+    program before the training has started.
 
     Raises:
         AcsarError: An option, recipe or folder can't be used, or the folder can't be written.
@@ -73,12 +71,12 @@ def train(options: TrainingOptions) -> TrainingResult:
         folders.check_empty(options.out)
     plan = TrainingPlan.of(options)
 
-    with sigterm_interrupts(), contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:
         # Batches: one to learn in, and one with worlds that the training never sees.
         env = stack.enter_context(contextlib.closing(plan.make_training_batch()))
         held_out_env = stack.enter_context(contextlib.closing(plan.make_held_out_batch(env)))
         for line in plan.describe(env, held_out_env):
-            print(escape_unprintable(line), flush=True)
+            say(line)
 
         # Folder and model: new, or those of the training that goes on.
         if is_resumed:
@@ -94,8 +92,15 @@ def train(options: TrainingOptions) -> TrainingResult:
             key = ids.strip_module(plan.env_id)
             folders.begin_config(out, key, plan.recipe.values, options)
 
-        with explain_disk_errors(out):
-            return _learn_and_save(plan, model, env, held_out_env, out)
+        # Until here SIGTERM ends the program, as there is nothing to save.
+        try:
+            with sigterm_interrupts():
+                return _learn_and_save(plan, model, env, held_out_env, out)
+        except OSError as error:
+            raise AcsarError(
+                f"--out {out}: can't be written: {explain_error(error)}: make room, then go on "
+                f"with --resume {shlex.quote(str(out))} --trust"
+            ) from error
 
 
 def _learn_and_save(
@@ -111,16 +116,9 @@ def _learn_and_save(
 
     # Without a terminal the bar is only a clock, and lines are printed instead.
     options = plan.options
-    scores = callbacks.HeldOutScores(held_out_env, out, plan.evaluation_interval, options.target)
     bar = Progress(BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     bar.disable = not (options.progress and bar.console.is_terminal)
-    watching: list[BaseCallback] = [
-        callbacks.CheckpointWriter(out, options.checkpoint_seconds),
-        callbacks.WholeCohorts(plan.episode_steps),
-        scores,
-    ]
-    if options.progress:
-        watching.append(callbacks.TrainingProgress(bar, plan.recipe.steps, scores))
+    watch = callbacks.TrainingWatch(plan, held_out_env, out, bar if options.progress else None)
 
     # Checkpoints contain the label as well: a policy can be made of each.
     sb3_export.label(model, describe_model(plan, model, env))
@@ -128,24 +126,27 @@ def _learn_and_save(
     try:
         with bar, contextlib.suppress(callbacks.TargetReached):
             steps = plan.recipe.steps - model.num_timesteps
-            model.learn(steps, callback=watching, reset_num_timesteps=model.num_timesteps == 0)
-        scores.finish()
+            model.learn(steps, callback=watch, reset_num_timesteps=model.num_timesteps == 0)
+        watch.finish()
     except KeyboardInterrupt as error:
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is", flush=True)
         interrupt = error
 
     # The model first: the policy can be made of it again.
-    document = describe_model(plan, model, env, scores)
+    document = describe_model(plan, model, env, watch)
     sb3_export.label(model, document)
     folders.write_model(model, out / folders.MODEL_FILE)
     policy = sb3_export.export_policy(model.policy, document)
     with reading.replace_file(out / folders.POLICY_FILE) as new:
         new.write_bytes(policy)
-    callbacks.draw_curve(out, scores.curve, f"{options.algo} on {plan.env_id}, seed {options.seed}")
-    print_results(plan, scores, out, is_finished=interrupt is None)
+    callbacks.draw_curve(out, watch.curve, f"{options.algo} on {plan.env_id}, seed {options.seed}")
+    policy_file = out / folders.POLICY_FILE
+    say(f"written: {policy_file} (to drive with), {out / folders.MODEL_FILE} (to train on)")
     if interrupt is not None:
         raise interrupt
-    return TrainingResult(out, model.num_timesteps, scores.seconds, scores.score)
+    score = watch.curve[-1]
+    print_score(plan, score, policy_file)
+    return TrainingResult(out, score)
 
 
 def make_model(
@@ -162,15 +163,15 @@ def make_model(
     if options.device == "cuda" and not torch.cuda.is_available():
         cause = "has no CUDA device that it can use" if torch.version.cuda else "is without CUDA"
         raise ConfigError(f"--device cuda: torch {torch.__version__} {cause}: leave --device out")
-    if start is not None and not options.trust:
-        raise PolicyError(
-            f"{start}: a stable-baselines3 zip can run any code when it's loaded: pass --trust if "
-            "you made it or trust its author"
-        )
+    if start is not None:
+        check_trust(start, trust=options.trust)
 
     # A training that goes on doesn't repeat the episodes of its start.
     algorithm: Any = load_algorithm(options.algo)
-    batch = plan.recipe.wrap_batch(BatchVecEnv(env))
+    model: BaseAlgorithm
+    batch: VecEnv = BatchVecEnv(env)
+    for wrapper in plan.recipe.import_wrappers():
+        batch = wrapper(batch)
     seed = options.seed + (folders.count_steps(start) if start else 0)
     arguments = {
         "device": options.device,
@@ -183,23 +184,22 @@ def make_model(
             model = algorithm(env=batch, **built | arguments)
         else:
             model = algorithm.load(start, batch, **arguments)
-            if (start.parent / folders.BUFFER_FILE).exists():
-                model.load_replay_buffer(start.parent / folders.BUFFER_FILE)
+            folders.load_buffer(model, start)
     except AcsarError:
         raise
     except Exception as error:
-        problem = f"{start}: isn't a model of {algorithm.__name__} for this env"
-        kind = PolicyError if start else ConfigError
-        raise kind(f"{problem if start else plan.recipe.place}: {format_error(error)}") from error
-    checked: BaseAlgorithm = model
-    return checked
+        problem = plan.recipe.place
+        if start is not None:
+            problem = f"{start}: isn't a model of {algorithm.__name__} for this env"
+        raise ConfigError(f"{problem}: {format_error(error)}") from error
+    return model
 
 
 def describe_model(
     plan: TrainingPlan,
     model: BaseAlgorithm,
     env: RobotVectorEnv,
-    scores: HeldOutScores | None = None,
+    watch: TrainingWatch | None = None,
 ) -> PolicyDocument:
     """Describe the policy of a model and its training."""
     space: Any = model.observation_space
@@ -213,10 +213,10 @@ def describe_model(
     }
 
     # An interrupt can come before the first evaluation.
-    if scores is not None and scores.score is not None:
+    if watch is not None and watch.score is not None:
         training |= {
-            "seconds": round(scores.seconds, 1),
-            "held_out": {"episodes": scores.batch.num_envs, **scores.score._asdict()},
+            "seconds": round(watch.seconds, 1),
+            "held_out": {"episodes": plan.held_out_robots, **watch.score._asdict()},
         }
     return describe_policy(
         env,
@@ -227,29 +227,29 @@ def describe_model(
     )
 
 
-def print_results(
-    plan: TrainingPlan, scores: HeldOutScores, out: Path, *, is_finished: bool
-) -> None:
-    """Print what was written, and how good the policy is."""
-    policy = out / folders.POLICY_FILE
-    lines = [f"written: {policy} (to drive with), {out / folders.MODEL_FILE} (to train on)"]
+def print_score(plan: TrainingPlan, score: Score, policy: Path) -> None:
+    """Print how good a policy is, and how to evaluate it."""
     options = plan.options
-    if is_finished and (score := scores.score):
-        count = scores.batch.num_envs
-        wins = f"{round(score.success_rate * count)} of {count} episodes"
-        lines.append(f"held-out success: {wins} ({score.success_rate:.1%})")
-        if options.target is not None:
-            result = "reached" if scores.is_reached else "not reached"
-            lines[-1] += f"; target of {options.target:.1%} {result} at {score.steps:,} steps"
+    count = plan.held_out_robots
+    wins = f"{round(score.success_rate * count)} of {count} episodes"
+    line = f"held-out success: {wins} ({score.success_rate:.1%})"
+    if options.target is not None:
+        result = "reached" if score.success_rate >= options.target else "not reached"
+        line += f"; target of {options.target:.1%} {result} at {score.steps:,} steps"
+    say(line)
 
-        words = ["acsar-gym", "evaluate", "--policy", str(policy)]
-        if not plan.env_id.startswith("acsar_gym/"):
-            words += ["--env", plan.env_id]
-        if options.robot and len(plan.robots) == 1:
-            words += ["--robot", options.robot]
-        lines.append(f"next: {shlex.join(words)}")
-    for line in lines:
-        print(escape_unprintable(line), flush=True)
+    # What evaluate can't take from the policy.
+    command = f"next: acsar-gym evaluate --policy {shlex.quote(str(policy))}"
+    if not plan.env_id.startswith("acsar_gym/"):
+        command += f" --env {plan.env_id}"
+    if options.robot and len(plan.robots) == 1:
+        command += f" --robot {shlex.quote(options.robot)}"
+    say(command)
+
+
+def say(text: str) -> None:
+    """Print a line at once, with control characters escaped."""
+    print(escape_unprintable(text), flush=True)
 
 
 def require_training() -> None:
@@ -275,20 +275,12 @@ def sigterm_interrupts() -> Iterator[None]:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt("SIGTERM")
 
-    with contextlib.ExitStack() as stack:
-        with contextlib.suppress(ValueError):  # another thread
-            handler = signal.signal(signal.SIGTERM, interrupt)
-            stack.callback(signal.signal, signal.SIGTERM, handler)
+    # Only the main thread may set handlers, as in a job of Ray.
+    if threading.current_thread() is not threading.main_thread():
         yield
-
-
-@contextlib.contextmanager
-def explain_disk_errors(out: Path) -> Iterator[None]:
-    """Turn the errors of a full or broken disk into a line with what to do."""
+        return
+    handler = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
-    except OSError as error:
-        raise AcsarError(
-            f"--out {out}: can't be written: {explain_error(error)}: make room, then go on with "
-            f"--resume {shlex.quote(str(out))} --trust"
-        ) from error
+    finally:
+        signal.signal(signal.SIGTERM, handler)

@@ -7,37 +7,22 @@ a row in seeds.csv. If the machine of a seed dies, the seed goes on on another m
 from __future__ import annotations
 
 import contextlib
-import csv
-import math
-import re
 import shutil
 import statistics
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from acsar_gym import reading
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.jobs import run_jobs
 from acsar_gym.tools.training import folders
 from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED, TrainingOptions
-from acsar_gym.tools.training.plan import TrainingPlan
+from acsar_gym.tools.training.plan import Score, TrainingPlan
 from acsar_gym.tools.training.run import require_training, train
 
 MAX_SEEDS = 1000
 """Most seeds of one command."""
-_SEEDS = re.compile(r"\d{1,10}(-\d{1,10})?(,\d{1,10}(-\d{1,10})?)*", re.ASCII)
-
-
-class SeedResult(NamedTuple):
-    """The result of a seed's training, a row of seeds.csv."""
-
-    seed: int
-    success_rate: float
-    """Of the held-out episodes after the training."""
-    collision_rate: float
-    steps: int
-    seconds: float
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -46,21 +31,26 @@ def parse_seeds(text: str) -> list[int]:
     Raises:
         ConfigError: It has another form, or has too many seeds.
     """
-    seeds: set[int] = set()
-    for item in text.split(",") if _SEEDS.fullmatch(text) else ():
-        first, _, last = item.partition("-")
-        numbers = range(int(first), int(last or first) + 1)
-        seeds |= set(numbers[: MAX_SEEDS + 1] or [FIRST_HELD_OUT_SEED])
-    if not 1 <= len(seeds) <= MAX_SEEDS or max(seeds) >= FIRST_HELD_OUT_SEED:
+    # Ranges are cut, as 0-9999999999 would fill the memory.
+    try:
+        ends = [item.partition("-") for item in text.split(",")]
+        ranges = [range(int(first), int(last or first) + 1) for first, _, last in ends]
+        seeds = sorted({seed for numbers in ranges for seed in numbers[: MAX_SEEDS + 1]})
+    except ValueError:
+        seeds = []
+    if not 1 <= len(seeds) <= MAX_SEEDS or seeds[-1] >= FIRST_HELD_OUT_SEED:
         raise ConfigError(
             f"--seeds {show_value(text)}: must be like 0-4 or 1,5,9: at most {MAX_SEEDS:,} of "
             "0 to 2^32 - 1"
         )
-    return sorted(seeds)
+    return seeds
 
 
-def train_seeds(options: TrainingOptions) -> list[SeedResult]:
-    """Train every seed of `options.seeds`, and print their held-out success rates.
+def train_seeds(options: TrainingOptions) -> dict[int, Score]:
+    """Train every seed of `options.seeds`, and print their held-out scores.
+
+    Returns:
+        The score of each seed after its training.
 
     Raises:
         ConfigError: An option can't be used.
@@ -79,53 +69,42 @@ def train_seeds(options: TrainingOptions) -> list[SeedResult]:
         for seed in seeds
     ]
 
-    results: list[SeedResult] = []
+    scores: dict[int, Score] = {}
     running = run_jobs(train_seed, jobs, options.workers, options.address)
     try:
         with contextlib.closing(running):
-            for _, result in report.watch_progress("seeds trained", running, len(jobs)):
-                results.append(result)
+            for number, score in report.watch_progress("seeds trained", running, len(jobs)):
+                scores[seeds[number]] = score
                 print(
-                    f"seed {result.seed}: held-out success {result.success_rate:.1%}, collisions "
-                    f"{result.collision_rate:.1%} after {result.steps:,} steps in "
-                    f"{result.seconds:,.0f} s",
+                    f"seed {seeds[number]}: held-out success {score.success_rate:.1%}, collisions "
+                    f"{score.collision_rate:.1%} after {score.steps:,} steps in "
+                    f"{score.seconds:,.0f} s",
                     flush=True,
                 )
     finally:
-        if results:
-            _summarize(results, out)
-    return sorted(results)
+        if scores:
+            _summarize(scores, out)
+    return scores
 
 
-def train_seed(options: TrainingOptions) -> SeedResult:
+def train_seed(options: TrainingOptions) -> Score:
     """Train one seed, or go on with it in its folder, and print into its log."""
     out = options.out or Path()
     if folders.find_models(out):  # a process of this job has died
-        options = options.model_copy(update={"resume": out, "trust": True})
+        options = options.model_copy(update={"resume": out, "out": None, "trust": True})
     else:
         shutil.rmtree(out, ignore_errors=True)
 
-    with (
-        out.with_name(f"{out.name}-log.txt").open("a", encoding="utf-8") as log,
-        contextlib.redirect_stdout(log),
-    ):
-        result = train(options)
-    score = result.score
-    return SeedResult(
-        options.seed,
-        success_rate=score.success_rate if score else math.nan,
-        collision_rate=score.collision_rate if score else math.nan,
-        steps=result.steps,
-        seconds=round(result.seconds, 1),
-    )
+    log = out.with_name(f"{out.name}-log.txt").open("a", encoding="utf-8")
+    with log, contextlib.redirect_stdout(log):
+        return train(options).score
 
 
-def _summarize(results: list[SeedResult], out: Path) -> None:
+def _summarize(scores: Mapping[int, Score], out: Path) -> None:
     """Print median and worst seed, and write seeds.csv."""
-    rates = [result.success_rate for result in results]
+    rates = [score.success_rate for score in scores.values()]
     median = statistics.median(rates)
     behind = 100.0 * (median - min(rates))
     print(f"median {median:.1%}, worst {min(rates):.1%}: {behind:.1f} points below the median")
-    with reading.replace_file(out / "seeds.csv") as new, new.open("w", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerows([SeedResult._fields, *sorted(results)])
+    rows = [(seed, *score) for seed, score in sorted(scores.items())]
+    folders.write_table(out / "seeds.csv", ("seed", *Score._fields), rows)

@@ -45,6 +45,7 @@ def without_rays(env: VecEnv) -> VecEnv:
     What the map and the sensor of movers contain is in units of the robot: a policy that observes
     no more can drive robots whose LiDAR has other rays.
     """
+    # RL Zoo evaluates with single envs, which are wrapped as well.
     inner = env.unwrapped
     robot = inner.robots if isinstance(inner, BatchVecEnv) else env.get_attr("unwrapped", 0)[0]
     sensors = {sensor.name: sensor.size for sensor in robot.sensors}

@@ -16,7 +16,7 @@ from serial_tools import RobotFile
 from zip_tools import poison, save
 
 from acsar_gym import RobotConfig
-from acsar_gym.errors import LateTicksError, RecordingWarning
+from acsar_gym.errors import RecordingWarning
 from acsar_gym.tools.cli import COMMANDS
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -70,71 +70,54 @@ def test_options_that_cannot_be_parsed_have_no_traceback(words: str, call: Call)
     assert "Traceback" not in error
 
 
-@pytest.mark.parametrize(
-    ("arguments", "result"),
-    [
-        (("evaluate", "--link", "planar", "--episodes", "2"), "2/2 (100.0%)"),
-        (("identify", "planar", "--duration", "12"), "motor.time_constant"),
-    ],
-    ids=["evaluate", "identify"],
-)
 def test_record_on_a_full_disk_keeps_the_results(
-    arguments: tuple[str, ...],
-    result: str,
-    call: Call,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("acsar_gym.recording.writer.RecordingWriter.flush", fail)
     figures = tmp_path / "figures.json"
+    evaluate = ("evaluate", "--link", "planar", "--episodes", "2")
     with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: No space left on"):
-        code, out, error = call(*arguments, "--record", tmp_path / "tape.mcap", "--json", figures)
+        code, out, error = call(*evaluate, "--record", tmp_path / "tape.mcap", "--json", figures)
     assert code == 2
-    assert result in out
+    assert "2/2 (100.0%)" in out
     assert figures.exists()
     assert_one_line(error, "tape.mcap: the recording isn't whole")
 
 
-@pytest.mark.parametrize("command", [("evaluate", "--policy"), ("policy",)])
-def test_trust_is_needed_for_a_zip(command: tuple[str, ...], tmp_path: Path, call: Call) -> None:
+def test_trust_is_needed_for_a_zip(tmp_path: Path, call: Call) -> None:
     model = save(tmp_path / "model.zip")
     marker = tmp_path / "marker"
     bad = poison(model, "data", marker, tmp_path / "bad.zip")
     out = tmp_path / "out.onnx"
-    is_policy = command == ("policy",)
-    options = ["--out", out] if is_policy else ["--link", "planar", "--episodes", "1"]
-    code, _, error = call(*command, bad, *options)
+    code, _, error = call("policy", bad, "--out", out)
     assert code == 2
     assert_one_line(error, f"{bad}: a stable-baselines3 zip can run any code")
     assert "--trust" in error
     assert not marker.exists()
     assert not out.exists()
-    assert call(*command, model, *options, "--trust")[2] == ""
-    assert out.exists() == is_policy
+    assert call("policy", model, "--out", out, "--trust")[2] == ""
+    assert out.exists()
 
 
-@pytest.mark.parametrize("kind", ["planar", "serial"])
 def test_replay_has_the_figures_of_the_recorded_run(
-    kind: str, call: Call, request: pytest.FixtureRequest, robot_file: RobotFile, tmp_path: Path
+    call: Call, robot_file: RobotFile, tmp_path: Path
 ) -> None:
     def read(name: str) -> dict[str, Any]:
         data = json.loads((tmp_path / name).read_text(encoding="utf-8"))
         names = ("success_rate", "time_to_goal", "path", "smoothness", "ticks")
         return {key: data[key] for key in names}
 
-    link = request.getfixturevalue("shared_device") if kind == "serial" else kind
-    run = ("run", "0.6", "0.2", "--yes", "--robot", robot_file())
+    run = ("run", "0.6", "0.2", "--robot", robot_file())
     tape = tmp_path / "tape.mcap"
-    live = ("--link", link, "--record", tape, "--json", tmp_path / "live.json")
+    live = ("--link", "planar", "--record", tape, "--json", tmp_path / "live.json")
     code, out, error = call(*run, *live)
-    assert code == LateTicksError.exit_code or not error
+    assert (code, error) == (0, "")
     assert "behind the wire" in out
     replayed = ("--link", f"replay:{tape}", "--json", tmp_path / "replay.json")
-    code, _, error = call(*run, *replayed)
-    assert (code, error) == (0, "")  # also if ticks of the recording were late
+    assert call(*run, *replayed)[::2] == (0, "")
     assert read("replay.json") == read("live.json")
     assert read("live.json")["ticks"] > 20
 
@@ -161,7 +144,7 @@ def test_bags_are_read_as_recordings(call: Call, tmp_path: Path) -> None:
         (("record", "info", bag), "1 episode, 6.0 s"),
         (("record", "export", bag, "--to", "csv"), "ticks.csv"),
         (("gap", bag), "1 held-out episode"),
-        (("identify", "--from", bag), "motor.time_constant"),
+        (("identify", bag), "motor.time_constant"),
     ]
     for command, result in results:
         code, out, error = call(*command, "--robot", "acsar")
@@ -171,7 +154,6 @@ def test_bags_are_read_as_recordings(call: Call, tmp_path: Path) -> None:
 
     errors: list[tuple[tuple[str | Path, ...], str]] = [
         (("record", "info", bag), "is a ROS 2 bag: name its robot with --robot PRESET|FILE"),
-        (("identify", "planar", "--from", bag), "--from: give a device, or recordings with --from"),
         (("gap", tape, "--robot", "acsar", "--topics", "/robot1"), "--topics is for ROS 2 bags"),
     ]
     for command, message in errors:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,6 @@ pytestmark = pytest.mark.usefixtures("deadline")
 WRITES = [
     "benchmark --html mine.html",
     "calibrate planar straight --json mine.json",
-    "demo --json mine.json",
     "doctor --json mine.json",
     "emulate --log mine.log",
     "evaluate --link planar --html mine.html",
@@ -73,11 +71,6 @@ def test_a_commands_result_is_replaced_by_the_same_command_only(
     code, _, error = call("doctor", "--json", name)
     assert code == 2
     assert_one_line(error, f"{name}: exists and wasn't written by 'acsar-gym doctor': ")
-
-
-def test_json_names_the_command(call: Call, place: Path) -> None:
-    assert call("policy", "point_goal", "--json", "out.json")[0] == 0
-    assert json.loads(Path("out.json").read_text())["origin"] == "written by acsar-gym policy"
 
 
 def test_emulate_replaces_no_users_link(place: Path) -> None:

@@ -25,10 +25,10 @@ RUN = ("run", "1", "0", "--link", "planar")
 
 @pytest.fixture
 def end_early(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """`end_early(error, after=2)` ends every evaluation after some episodes."""
+    """`end_early(error, after)` ends every evaluation after some episodes."""
     run_resets = evaluation.run_resets
 
-    def install(error: BaseException, after: int = 2) -> None:
+    def install(error: BaseException, after: int) -> None:
         def run(env: Any, policy: Any, resets: Any, late_share: float) -> Iterator[Any]:
             yield from run_resets(env, policy, resets[:after], late_share)
             raise error
@@ -39,36 +39,34 @@ def end_early(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("error", "code", "message"),
+    ("command", "error", "code", "message", "finished"),
     [
-        (EmergencyStopError(), 3, "emergency stop"),
-        (KeyboardInterrupt(), 130, "interrupted"),
+        (EVALUATE, EmergencyStopError(), 3, "emergency stop", 2),
+        (EVALUATE, KeyboardInterrupt(), 130, "interrupted", 2),
+        (RUN, EmergencyStopError(), 3, "emergency stop", 0),
     ],
-    ids=["estop", "Ctrl-C"],
+    ids=["estop", "Ctrl-C", "run"],
 )
-def test_evaluate_keeps_finished_episodes(
-    error: BaseException, code: int, message: str, end_early: Any, call: Call, tmp_path: Path
+def test_results_contain_the_finished_episodes(
+    command: tuple[str, ...],
+    error: BaseException,
+    code: int,
+    message: str,
+    finished: int,
+    end_early: Any,
+    call: Call,
+    tmp_path: Path,
 ) -> None:
-    end_early(error)
+    end_early(error, finished)
     file = tmp_path / "figures.json"
-    status, out, errors = call(*EVALUATE, "--json", file)
+    status, out, errors = call(*command, "--json", file)
     assert status == code
     assert message in errors
-    assert "2/2" in out
-    assert f"Ended after 2 of 5 episodes: {message}" in " ".join(out.split())
+    ended = f"Ended after {finished} of 5 episodes: {message}"
+    assert (ended in " ".join(out.split())) == (finished > 0)
     data = json.loads(file.read_text())
-    assert (data["episodes"], len(data["per_episode"])) == (2, 2)
+    assert (data["episodes"], len(data["per_episode"])) == (finished, finished)
     assert message in data["ended_early"]
-
-
-def test_run_writes_json_after_a_stop(end_early: Any, call: Call, tmp_path: Path) -> None:
-    end_early(EmergencyStopError(), after=0)
-    file = tmp_path / "figures.json"
-    status, out, error = call(*RUN, "--json", file)
-    assert (status, out) == (3, "")
-    assert_one_line(error, "emergency stop")
-    data = json.loads(file.read_text())
-    assert (data["episodes"], data["per_episode"], data["success_rate"]) == (0, [], None)
 
 
 def test_evaluate_counts_a_fault_and_no_time_out(

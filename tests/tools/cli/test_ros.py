@@ -34,9 +34,7 @@ def driver_options(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("words", "link", "ros"),
     [
-        (("--ros-args", *ROS, "--", "--link", "planar"), "planar", ROS),
         (("--ros-args", *ROS[:2], "--", "--link", "planar", "--ros-args", *ROS[2:]), "planar", ROS),
-        (("--ros-args", "--ros-args", "--", "--link", "planar"), "planar", ()),
         (("--ros-args", "--link", "planar"), "", ("--link", "planar")),
         (
             ("--ros-args", "-p", 'scene:={"start": [1, 2, 0]}'),

@@ -10,7 +10,6 @@ import yaml
 from boards import make_link, parse_quirks
 from cli_tools import Call, assert_one_line
 from rollout_tools import HIDDEN, random_steps
-from serial_tools import TRIALS, RobotFile, StartEmulator, cli
 
 from acsar_gym import Robot, RobotConfig, links, open_link
 from acsar_gym.links import Link
@@ -19,53 +18,15 @@ from acsar_gym.recording import Recorder
 pytestmark = pytest.mark.usefixtures("deadline")
 
 
-@pytest.fixture(scope="module")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of 2 s."""
-    path = tmp_path_factory.mktemp("short") / "short.mcap"
-    config = RobotConfig.preset("acsar")
-    with Robot(open_link("planar", config), config, recorder=Recorder(path)) as robot:
-        for tick in range(200):
-            speed = 4.0 if tick % 50 < 25 else -4.0
-            robot.tick((speed, -speed, speed, -speed))
-    return path
-
-
-def test_identify_explains_a_short_log(short: Path, call: Call, tmp_path: Path) -> None:
-    out = tmp_path / "mine.yaml"
-    figures = tmp_path / "found.json"
-    files = ("--out", out, "--json", figures)
-    code, text, error = call("identify", short, *files)
-    assert code == 1
-    assert_one_line(error, "nothing to write: nothing new was found")
-    assert "2.0 s of log: needs 5 s or more" in " ".join(text.split())
-    findings = json.loads(figures.read_text())["findings"]
-    identified = {finding["name"] for finding in findings if finding["told"]}
-    assert identified == {"firmware.feedback_rate"}
-    assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"motor": {"deadband": 30.0}}, "nothing to write: no wheel turned"),
-        (
-            {"wheels": {"a": {"motor": "b"}, "b": {"motor": "a"}}},
-            "front_right answers front_left's command: run 'acsar-gym doctor DEV",
-        ),
-    ],
-    ids=["dead", "miswired"],
-)
-def test_identify_writes_no_file_of_wheels_that_dont_obey(
-    changes: dict[str, object], message: str, call: Call, tmp_path: Path
-) -> None:
+def test_identify_writes_no_file_of_wheels_that_dont_obey(call: Call, tmp_path: Path) -> None:
     twin = tmp_path / "twin.yaml"
     out = tmp_path / "mine.yaml"
-    RobotConfig.preset("acsar").with_(**changes).save(twin)
+    swapped = {"a": {"motor": "b"}, "b": {"motor": "a"}}
+    RobotConfig.preset("acsar").with_(wheels=swapped).save(twin)
     options = ("--twin", twin, "--duration", "12", "--out", out, "--anyway")
     code, _, error = call("identify", "planar", *options)
     assert code == 1
-    assert_one_line(error, message)
+    assert_one_line(error, "front_right answers front_left's command: run 'acsar-gym doctor DEV")
     assert not out.exists()
 
 
@@ -155,27 +116,6 @@ def test_calibrate_uses_runs_that_were_finished_before_a_stall(
     assert set(RobotConfig.load(out).measured) >= {"wheel_radius"}
 
 
-def test_calibrate_over_a_serial_device(
-    start_emulator: StartEmulator, robot_file: RobotFile, tmp_path: Path
-) -> None:
-    out = tmp_path / "my.yaml"
-    floor = ("--distance", "0.4", "--space", "2", "1", "--measured", "0.41")
-    emulated = start_emulator()
-    calibrate = ("calibrate", emulated.device, "straight", *floor, "--robot", robot_file())
-    refused = cli(*calibrate)
-    assert refused.returncode == 2
-    assert "--yes" in refused.stderr
-
-    for _ in range(TRIALS):
-        done = cli(*calibrate, "--yes", "--out", out)
-        assert done.returncode == 0, done.stderr
-        assert emulated.is_stopped()
-        radius = RobotConfig.load(out).wheel_radius
-        if radius == pytest.approx(0.051, rel=0.04):
-            break
-    assert radius == pytest.approx(0.051, rel=0.04)
-
-
 def test_calibrate_with_readings_given_later(call: Call, tmp_path: Path) -> None:
     mine = tmp_path / "my.yaml"
     out = tmp_path / "out.yaml"
@@ -234,9 +174,11 @@ def test_gap_of_the_right_robot_is_small(inside: Path, call: Call) -> None:
     assert fitted["end_pose"] < 0.1 * unfitted["end_pose"]
 
 
-def test_gap_uses_a_cut_recording_as_far_as_it_goes(inside: Path, call: Call) -> None:
-    data = (inside / "log0.mcap").read_bytes()
-    (inside / "half.mcap").write_bytes(data[: len(data) * 2 // 3])
-    code, out, error = call("gap", "half.mcap", "--robot", "robot.yaml")
-    assert code == 0, error
-    assert "half.mcap: its end is missing" in out
+@pytest.mark.usefixtures("inside")
+def test_identify_explains_a_short_log(call: Call, tmp_path: Path) -> None:
+    out = tmp_path / "mine.yaml"
+    code, text, error = call("identify", "log0.mcap", "--out", out)
+    assert code == 1
+    assert_one_line(error, "nothing to write: nothing new was found")
+    assert "4.0 s of log: needs 5 s or more" in " ".join(text.split())
+    assert not out.exists()

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
 from cli_tools import Call, assert_one_line
 
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.files import load_world
 
-WALLS = ((0.0, 2.0, 4.0, 0.1), (0.0, -2.0, 4.0, 0.1), (2.0, 0.0, 0.1, 4.0), (-2.0, 0.0, 0.1, 4.0))
 MAP = "image: map.pgm\nresolution: 0.05\norigin: [-2.0, -2.0, 0.0]\nnegate: 0\n"
 MAP += "occupied_thresh: 0.65\nfree_thresh: 0.25\nmode: trinary\n"
 
@@ -26,23 +24,8 @@ def write_map(folder: Path) -> Path:
     return folder / "map.yaml"
 
 
-def write_gazebo(folder: Path) -> Path:
-    """Write the same room as a Gazebo world."""
-    walls = "".join(
-        f"<collision name='c{number}'><pose>{x} {y} 0.5 0 0 0</pose><geometry><box>"
-        f"<size>{length} {width} 1</size></box></geometry></collision>"
-        for number, (x, y, length, width) in enumerate(WALLS)
-    )
-    model = f"<model name='room'><link name='l'>{walls}</link></model>"
-    path = folder / "hall.sdf"
-    path.write_text(f"<sdf version='1.9'><world name='w'>{model}</world></sdf>", encoding="utf-8")
-    return path
-
-
-@pytest.mark.parametrize("write", [write_gazebo, write_map])
-def test_worlds_convert_adds_start_and_goal(write: object, call: Call, tmp_path: Path) -> None:
-    assert callable(write)
-    room = write(tmp_path)
+def test_worlds_convert_adds_start_and_goal(call: Call, tmp_path: Path) -> None:
+    room = write_map(tmp_path)
     evaluate = ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--episodes", "1")
     for command in (("worlds", "check", room), (*evaluate, "--worlds", room)):
         code, _, error = call(*command)
@@ -71,7 +54,7 @@ def test_worlds_convert_adds_start_and_goal(write: object, call: Call, tmp_path:
 def test_worlds_check_finds_a_goal_outside(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "room.json"
     ends = ("--start", "-1,-1", "--goal", "3,0")
-    assert call("worlds", "convert", write_gazebo(tmp_path), out, *ends)[0] == 0
+    assert call("worlds", "convert", write_map(tmp_path), out, *ends)[0] == 0
     code, text, _ = call("worlds", "check", out)
     assert code == 1
     assert "no way from start to goal" in " ".join(text.split())

@@ -105,10 +105,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     [
         ("def acts(o): return 0", "has no function 'act', as in mine.py:act; did you mean 'acts'?"),
         ("def act(o: return", "line 1: can't be run: SyntaxError"),
-        ("\nimport no_such_module", "line 2: can't be run: ModuleNotFoundError"),
         ("def act(o): return [float('nan'), 0.0]", "must be two finite numbers"),
-        ("def act(o): return 'ab'", "act gave 'ab': must be"),
-        ("def act(o):\n  return o['x']", "line 2: act failed: IndexError"),
         ("def act(o):\n  raise SystemExit(0)", "line 2: act failed: SystemExit: 0"),
         pytest.param(GRADIENT, "must be two finite numbers", id="gradient"),
     ],
@@ -148,11 +145,9 @@ def test_callable_policy_is_bound_once_and_reset_before_every_episode(
     ("policy", "source", "message"),
     [
         ("{0}:Nothing", PLANNER, "Nothing"),
-        ("no_such_module:act", PLANNER, "no_such_module"),
         ("{0}.py", PLANNER, "name a function"),
         ("missing.py:act", PLANNER, "no such file"),
         ("{0}:Planner", PLANNER.replace("CALLS.append(f", "raise V(f"), "line 7: bind failed"),
-        ("{0}:Planner", PLANNER.replace('append("reset")', "nothing"), "line 10: reset failed"),
         ("{0}:Planner", PLANNER.replace("bind(self, setting", "__init__(self, x"), "can't be made"),
         ("{0}:Mine", BASELINE.replace("goal_distance", "ahead_1"), "needs a goal"),
     ],
@@ -168,29 +163,11 @@ def test_callable_policy_reports_errors_of_classes_in_one_line(
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("command", "code", "text"),
-    [
-        (("run", "1", "0"), 0, "mine.py:act"),
-        (("evaluate", "--episodes", "2"), 0, "2/2"),
-        (("evaluate", "--episodes", "1", "--env", "path_follow"), 2, "act"),
-    ],
-)
-def test_run_and_evaluate_take_functions(
-    command: tuple[str, ...],
-    code: int,
-    text: str,
-    mine: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def test_evaluate_takes_a_function(
+    mine: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if code:
-        mine.write_text("def act(o): return 'nowhere'")
-    arguments = ["acsar-gym", *command, "--link", "planar", "--policy", f"{mine}:act"]
-    monkeypatch.setattr("sys.argv", arguments)
-    with pytest.raises(SystemExit) as ended:
+    arguments = ["acsar-gym", "evaluate", "--episodes", "2", "--link", "planar"]
+    monkeypatch.setattr("sys.argv", [*arguments, "--policy", f"{mine}:act"])
+    with pytest.raises(SystemExit, match="0"):
         cli.main()
-    out, error = capsys.readouterr()
-    assert ended.value.code == code, error
-    assert text in out + error
-    assert error.count("\n") == int(code > 0)
+    assert "2/2" in capsys.readouterr().out

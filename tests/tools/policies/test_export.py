@@ -38,10 +38,14 @@ def test_save_keeps_the_decisions_with_normalizer_and_without_dropout(
     network[0].eval()
     mean = np.linspace(-1.0, 1.0, 7)
     std = np.linspace(0.1, 2.0, 7)
-    save(network, "point_goal", path, normalizer=[mean, std, clip])
+    adapted = policies.actor(network, lambda net, seen: net(seen)) if clip else network
+    save(adapted, "point_goal", path, normalizer=[mean, std, clip])
     assert [layer.training for layer in network] == [False, True, True, True]
 
     network.eval()
+    content = path.read_bytes()  # no paths of this machine
+    assert b".py" not in content
+    assert str(Path.home()).encode() not in content
     policy = OnnxPolicy(path)
     limit = clip or np.inf
     for observation in OBSERVATIONS:
@@ -52,27 +56,14 @@ def test_save_keeps_the_decisions_with_normalizer_and_without_dropout(
     runs.make_env(policy, "planar", None, {}).close()
 
 
-def test_actor_calls_the_network_of_another_library(tmp_path: Path) -> None:
-    import torch
-
-    path = tmp_path / "policy.onnx"
-    network = torch.nn.Linear(7, 4)
-    save(policies.actor(network, lambda net, seen: net(seen)[:, :2].tanh()), "point_goal", path)
-    with torch.no_grad():
-        expected = network(torch.from_numpy(OBSERVATIONS[:1]))[0, :2].tanh()
-    assert OnnxPolicy(path)(OBSERVATIONS[0]) == pytest.approx(expected.numpy(), abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"outputs": 3}, "(1, 3)"),
         ({"env_id": "path_follow"}, "(batch, 18)"),
         ({"normalizer": (0.0, 0.0, None)}, "std"),
-        ({"normalizer": (np.nan, 1.0, None)}, "normalizer: mean"),
         ({"normalizer": (np.zeros(5), 1.0, None)}, "doesn't take observations"),
         ({"normalizer": [0.0]}, "normalizer: must be (mean, std)"),
-        ({"weight": np.nan}, "weights contain NaN"),
         ({"weight": np.inf}, "weights contain NaN or infinity"),
     ],
     ids=str,
@@ -97,19 +88,12 @@ def test_save_stores_scale_and_rate_of_the_env(tmp_path: Path) -> None:
     policy = OnnxPolicy(path)
     assert (policy.scale, policy.document.rate) == (10.0, 20.0)
     runs.make_env(policy, "planar", None, options).close()
-    for changes, field in (
-        ({"goal_distance": (0.5, 3.0)}, "scale is 10 in the file and 3"),
-        ({"policy_rate": 10.0}, "rate is 20 in the file"),
-    ):
-        with pytest.raises(PolicyError, match=field):
-            runs.make_env(policy, "planar", None, options | changes)
 
 
 @pytest.mark.parametrize(
     ("env_id", "options", "message"),
     [
         ("point_goal", {"goals": 1}, "goals"),
-        ("no_such_module:Maze-v0", {}, "no_such_module"),
         ("gymnasium:Pendulum-v1", {}, "Pendulum"),
     ],
 )

@@ -99,6 +99,9 @@ def test_zip_policy_refuses_other_files_in_one_line(good: Path, tmp_path: Path) 
 def test_zip_policy_refuses_other_algorithms_actions_and_observations(tmp_path: Path) -> None:
     from stable_baselines3 import DQN, PPO
     from stable_baselines3.common.envs import SimpleMultiObsEnv
+    from stable_baselines3.common.vec_env import VecFrameStack
+
+    from acsar_gym.tools.policies.sb3 import make_batch
 
     path = tmp_path / "model.zip"
     DQN("MlpPolicy", "CartPole-v1", buffer_size=10, device="cpu").save(path)
@@ -107,6 +110,10 @@ def test_zip_policy_refuses_other_algorithms_actions_and_observations(tmp_path: 
     assert "and Box(-2.0, 2.0, (1,)" in refused(path, env_id="point_goal")
     PPO("MultiInputPolicy", SimpleMultiObsEnv(discrete_actions=False), device="cpu").save(path)
     assert "made for Dict('img'" in refused(path, env_id="point_goal")
+    env = VecFrameStack(make_batch("point_goal", 1), 3)
+    PPO("MlpPolicy", env, device="cpu").save(path)
+    env.close()
+    assert "only VecNormalize" in refused(path, env_id="point_goal")
 
 
 def normalized(folder: Path, algorithm: str = "PPO", **options: Any) -> tuple[Path, Any, Any]:
@@ -159,15 +166,3 @@ def test_zip_policy_notices_vecnormalize_of_sac(norm_obs: bool, tmp_path: Path) 
         assert "was trained with a VecNormalize" in refused(path, env_id="point_goal")
     else:
         ZipPolicy(path, trust=True, env_id="point_goal")
-
-
-def test_zip_policy_refuses_a_frame_stack(tmp_path: Path) -> None:
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.vec_env import VecFrameStack
-
-    from acsar_gym.tools.policies.sb3 import make_batch
-
-    env = VecFrameStack(make_batch("point_goal", 1), 3)
-    PPO("MlpPolicy", env, device="cpu").save(tmp_path / "model.zip")
-    env.close()
-    assert "only VecNormalize" in refused(tmp_path / "model.zip", env_id="point_goal")

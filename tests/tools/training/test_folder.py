@@ -79,16 +79,17 @@ def test_resume_goes_on_at_the_newest_model(
     """At model.zip after Ctrl-C, at the last checkpoint after an end that saves nothing."""
     from acsar_gym.tools.training import callbacks
 
-    def end(self: callbacks.WholeCohorts) -> None:
+    on_rollout_end = callbacks.TrainingWatch._on_rollout_end
+
+    def end(self: callbacks.TrainingWatch) -> None:
         if self.num_timesteps > STEPS // 2:
             raise ending
+        on_rollout_end(self)
 
-    options = tiny(
-        tmp_path, algo=algo, steps=STEPS, seed=7, learning_rate=0.003, checkpoint_seconds=0.0
-    )
+    monkeypatch.setattr(callbacks, "CHECKPOINT_SECONDS", 0.0)
     with monkeypatch.context() as patch, pytest.raises(ending):
-        patch.setattr(callbacks.WholeCohorts, "_on_rollout_end", end)
-        train(options)
+        patch.setattr(callbacks.TrainingWatch, "_on_rollout_end", end)
+        train(tiny(tmp_path, algo=algo, steps=STEPS, seed=7, learning_rate=0.003))
     newest = folders.find_models(tmp_path)[0]
     steps = folders.count_steps(newest)
     assert 0 < steps < STEPS
@@ -96,7 +97,7 @@ def test_resume_goes_on_at_the_newest_model(
     rows = [row for row in curve(tmp_path) if int(row["steps"]) <= steps]
     (tmp_path / "checkpoints" / "rl_model_9999_steps.zip").write_bytes(b"PK")  # cut
 
-    assert resume(tmp_path).steps == STEPS
+    assert resume(tmp_path).score.steps == STEPS
     assert curve(tmp_path)[: len(rows)] == rows
     assert int(curve(tmp_path)[-1]["steps"]) == STEPS
     config = yaml.safe_load((tmp_path / "config.yml").read_text())
@@ -109,7 +110,7 @@ def test_resume_goes_on_at_the_newest_model(
     [
         ({"trust": False}, "pass --trust"),
         ({"algo": "sac"}, "--algo sac: {} is of a training with ppo"),
-        ({"out": Path("new")}, "goes on in its own folder: leave it out"),
+        ({"out": Path("new")}, "--out new: {} is of a training with "),
     ],
 )
 def test_resume_refuses_other_options_in_one_line(
@@ -160,7 +161,7 @@ def test_resume_takes_more_steps_and_writes_a_missing_policy(
     resume(folder)
     assert (folder / "policy.onnx").exists()
     assert len(curve(folder)) == len(curve(finished))
-    assert resume(folder, steps=512).steps == 512
+    assert resume(folder, steps=512).score.steps == 512
     assert "going on at 256 of 512 steps, with new episodes\n" in capsys.readouterr().out
     assert (folder / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
@@ -169,15 +170,18 @@ def test_resume_takes_more_steps_and_writes_a_missing_policy(
 def test_train_leaves_the_last_checkpoint_on_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from acsar_gym.tools.training import callbacks
+
     write = folders.write_model
 
     def write_until_full(model: Any, path: Path) -> None:
         with full_disk(1000) if model.num_timesteps == 512 else contextlib.nullcontext():
             write(model, path)
 
+    monkeypatch.setattr(callbacks, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(folders, "write_model", write_until_full)
     with pytest.raises(AcsarError) as error:
-        train(tiny(tmp_path, steps=768, checkpoint_seconds=0.0))
+        train(tiny(tmp_path, steps=768))
     message = str(error.value)
     del error
     gc.collect()  # the file that stable-baselines3 leaves open: here, not in a later test
@@ -191,50 +195,35 @@ def test_train_leaves_the_last_checkpoint_on_a_full_disk(
 def test_train_seeds_gives_every_seed_a_folder_and_a_row(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    results = train_seeds(tiny(tmp_path, seeds="3,5", steps=1, robots=4))
-    output = capsys.readouterr().out
+    scores = train_seeds(tiny(tmp_path, seeds="3,5", steps=1, robots=4))
     with (tmp_path / "seeds.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["seed"] for row in rows] == ["3", "5"]
-    assert [float(row["success_rate"]) for row in rows] == [
-        result.success_rate for result in results
-    ]
-    assert f"worst {min(result.success_rate for result in results):.1%}" in output
-    for seed in (3, 5):
+        rows = {int(row["seed"]): float(row["success_rate"]) for row in csv.DictReader(file)}
+    assert rows == {seed: score.success_rate for seed, score in scores.items()}
+    assert set(rows) == {3, 5}
+    assert f"worst {min(rows.values()):.1%}" in capsys.readouterr().out
+    for seed in rows:
         assert f"seed {seed}" in (tmp_path / f"seed-{seed}-log.txt").read_text(encoding="utf-8")
         assert (tmp_path / f"seed-{seed}" / "policy.onnx").exists()
 
 
-@pytest.mark.parametrize(
-    ("text", "seeds"),
-    [("1,5,7-9", [1, 5, 7, 8, 9]), ("2-2,2", [2])],
-)
-def test_parse_seeds_reads_ranges_and_lists(text: str, seeds: list[int]) -> None:
-    assert parse_seeds(text) == seeds
+def test_parse_seeds_reads_ranges_and_lists() -> None:
+    assert parse_seeds("1,5,7-9") == [1, 5, 7, 8, 9]
+    for text in ("", "3-1", "a", "1,,2", "0-1000", "4294967296"):
+        with pytest.raises(ConfigError, match=r"--seeds .*: must be like"):
+            parse_seeds(text)
 
 
-@pytest.mark.parametrize("text", ["", "3-1", "a", "1,,2", "0-1000", "4294967296"])
-def test_parse_seeds_refuses_other_texts(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"--seeds .*: must be like"):
-        parse_seeds(text)
-
-
-@pytest.mark.parametrize(
-    ("options", "command"),
-    [
-        ({"env": "barn", "seed": 3, "net": (64, 64)}, "--env barn --seed 3 --net 64 64"),
-        (
-            {"robot": "/home/me/my.yaml", "worlds": ("clutter", "/home/me/hall.world")},
-            "--worlds clutter --worlds hall.world --robot my.yaml",
-        ),
-        (
-            {"randomize": False, "seeds": "0-3", "address": "ray://10.0.0.3"},
-            "--seeds 0-3 --no-randomize",
-        ),
-    ],
-)
-def test_training_command_contains_no_folder_and_no_address(
-    options: dict[str, Any], command: str
-) -> None:
+def test_training_command_contains_no_folder_and_no_address() -> None:
+    options: dict[str, Any] = {
+        "seeds": "0-3",
+        "worlds": ("clutter", "/home/me/hall.world"),
+        "robot": "/home/me/my.yaml",
+        "randomize": False,
+        "net": (64, 64),
+        "address": "ray://10.0.0.3",
+    }
     settings = TrainingOptions(out=Path("/home/me/run"), **options)
-    assert folders.training_command(settings) == f"acsar-gym train {command}"
+    assert folders.training_command(settings) == (
+        "acsar-gym train --seeds 0-3 --worlds clutter --worlds hall.world --robot my.yaml "
+        "--no-randomize --net 64 64"
+    )

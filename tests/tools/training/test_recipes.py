@@ -8,13 +8,10 @@ from typing import Any
 
 import pytest
 import yaml
-from gymnasium.spaces import Box
-from torch.nn import ReLU
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.registration import IDS
 from acsar_gym.tools.training import recipes
-from acsar_gym.tools.training.networks import MirrorPolicy
 from acsar_gym.tools.training.options import ALGORITHMS
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -38,7 +35,6 @@ def test_read_recipe_has_recipes_for_every_env_and_reads_config_files(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("[", "YAML"),
         ("mine/Other-v0: {}", "has no 'mine/Task-v0' and no 'default'"),
         (GOOD.replace("n_steps", "n_step"), "'n_step': no argument of ppo; did you mean 'n_steps'"),
         (GOOD.replace("1e3", "many"), "n_timesteps = 'many'"),
@@ -63,18 +59,10 @@ def test_read_recipe_refuses_in_one_line(text: str, message: str, tmp_path: Path
     assert "\n" not in str(error.value)
 
 
-def test_parse_schedule_falls_linearly(tmp_path: Path) -> None:
-    file = tmp_path / "mine.yml"
-    file.write_text(GOOD.replace("n_steps: 8", "learning_rate: lin_0.004"))
-    rate = recipes.read_recipe("ppo", "mine/Task-v0", file).build_arguments()["learning_rate"]
-    assert [rate(1.0), rate(0.5)] == pytest.approx([0.004, 0.002])
-
-
 HOSTILE: dict[str, dict[str, Any]] = {
     "function": {"policy_kwargs": {"activation_fn": "os.abort"}},
     "policy": {"policy": "evil.Policy"},
     "worlds": {"env_kwargs": {"worlds": "evil:corr:0-9"}},
-    "sensors": {"env_kwargs": {"sensors": ["evil:Sonar"]}},
     "nested": {"env_kwargs": {"faults": {"evil:x": [["evil:y"]]}}},
     "wrapper": {"vec_env_wrapper": "evil.wrap"},
 }
@@ -97,7 +85,7 @@ def test_read_recipe_imports_nothing_that_a_stranger_names(
     assert "evil" not in sys.modules
 
 
-def test_import_class_accepts_the_package_of_the_env(
+def test_build_arguments_makes_schedules_and_imports_from_the_package_of_the_env(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "my_networks.py").write_text("from torch.nn import ReLU as MyUnit\n")
@@ -106,19 +94,17 @@ def test_import_class_accepts_the_package_of_the_env(
     file = tmp_path / "mine.yml"
     values: dict[str, Any] = {
         "n_timesteps": 8,
+        "learning_rate": "lin_0.004",
         "policy_kwargs": {"activation_fn": "my_networks.MyUnit"},
         "env_kwargs": {"worlds": "my_networks.worlds:corr:0-9"},
     }
     file.write_text(yaml.safe_dump({"default": values}))
 
     recipe = recipes.read_recipe("ppo", "mine/Task-v0", file, "my_networks.tasks")
-    assert recipe.build_arguments()["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
+    arguments = recipe.build_arguments()
+    assert arguments["policy_kwargs"]["activation_fn"].__name__ == "ReLU"
+    rate = arguments["learning_rate"]
+    assert [rate(1.0), rate(0.5)] == pytest.approx([0.004, 0.002])
     assert recipe.env_kwargs == values["env_kwargs"]
     with pytest.raises(ConfigError, match="imports nothing but the package of --env"):
         recipes.read_recipe("ppo", "mine/Task-v0", file, "other")
-
-
-def test_mirror_policy_takes_names_of_classes() -> None:
-    kwargs = recipes.read_recipe("ppo", "acsar_gym/Barn-v1").arguments["policy_kwargs"]
-    spaces = Box(-1.0, 1.0, (97,)), Box(-1.0, 1.0, (2,))
-    assert MirrorPolicy(*spaces, lambda _: 0.001, **kwargs).activation_fn is ReLU

@@ -40,7 +40,6 @@ def singles(**options: Any) -> VecEnv:
 
 
 KINDS: Mapping[str, Callable[..., VecEnv]] = {
-    "a batch": batch,
     "a batch in a wrapper": lambda **options: VecCheckNan(batch(**options)),
     "single envs": singles,
 }
@@ -74,13 +73,10 @@ def test_without_rays_keeps_the_first_numbers(kind: str) -> None:
     short.close()
 
 
-def test_without_rays_gives_as_many_numbers_for_another_lidar() -> None:
+def test_without_rays_needs_a_map_and_leaves_out_any_lidar() -> None:
     env = without_rays(batch(robot=RobotConfig().with_(lidar={"rays": 90})))
     assert env.observation_space.shape == (KEPT,)
     env.close()
-
-
-def test_without_rays_refuses_robots_without_a_map() -> None:
     env = sb3.make_batch("point_goal", 2)
     with pytest.raises(ConfigError, match="robots with a map and a LiDAR"):
         without_rays(env)

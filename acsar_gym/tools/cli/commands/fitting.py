@@ -24,7 +24,6 @@ from acsar_gym.tools.cli.options import (
     check_stoppable,
     check_writable,
     countdown,
-    print_results,
     say,
 )
 
@@ -71,14 +70,16 @@ class FoundRobotOptions(RecordOptions):
 
 
 @dataclass(frozen=True)
-class FoundRobotOutputs:
+class FoundRobotOutputs(ResultOptions):
     """Results."""
 
     out: File = None
     """Write what was found into this robot's file, to be used as --robot. If it exists, its
     comments stay, and what was not found."""
-    json: File = None
-    """Also write the findings to this file."""
+
+    def check(self) -> None:
+        """Check before the work that the files can be written."""
+        check_writable(self.json, robot=self.out)
 
     def write(self, robot: RobotConfig) -> None:
         """Write a robot to `out`, if a file is named."""
@@ -93,7 +94,6 @@ def identify_robot(
     setup: FoundRobotOptions,
     output: FoundRobotOutputs,
     bag: BagOptions,
-    logs: Annotated[tuple[str, ...], tyro.conf.arg(name="from", metavar="LOG [LOG ...]")] = (),
     duration: float = DURATION,
     yes: bool = False,
     anyway: bool = False,
@@ -111,15 +111,14 @@ def identify_robot(
         setup: Robot and recording.
         output: Results.
         bag: Options of ROS 2 bags.
-        logs: Recordings or ROS 2 bags, instead of a device.
         duration: Duration of the manoeuvre [s].
         yes: Don't ask before the wheels turn.
         anyway: Write the file even if the model doesn't fit: without intervals, and with a remark.
     """
     from acsar_gym.tools.sysid import identify
 
-    check_writable(output.json, robot=output.out)
-    if recordings := _list_logs(sources, logs):
+    output.check()
+    if recordings := _list_logs(sources):
         setup.check_recorded(has_duration=duration != DURATION)
         config = None if setup.robot is None else RobotConfig.of(setup.robot)
         paths = [bag.open(path, setup.robot) for path in recordings]
@@ -127,7 +126,8 @@ def identify_robot(
     else:
         result = _drive_and_identify(sources[0], setup, duration, yes=yes)
 
-    print_results(identify.identification_table(result), json=output.json, data=result.as_dict())
+    # The table is printed also if the model doesn't fit, as it shows why.
+    output.print(identify.identification_table(result), data=result.as_dict())
     result.check(anyway=anyway)
     if result.dead:
         names = ", ".join(result.dead)
@@ -153,7 +153,8 @@ def _drive_and_identify(
         motion = f"{device}: the wheels will turn for {duration:g} s in both directions"
         countdown(f"{motion}; lift the robot, so that they turn freely", yes=yes)
 
-    result = identify.identify_device(link, config, duration, setup.recorder("identify"))
+    result = identify.identify_device(link, config, duration, setup.recorder())
+    # A late computer sends commands late: the fit knows when, but has fewer samples of each step.
     if result.duration > LATE_MANOEUVRE * duration:
         print_error(
             f"acsar-gym: the manoeuvre took {result.duration:.1f} s instead of {duration:g}: this "
@@ -162,21 +163,21 @@ def _drive_and_identify(
     return result
 
 
-def _list_logs(sources: Sequence[str], logs: Sequence[str]) -> list[Path]:
+def _list_logs(sources: Sequence[str]) -> list[Path]:
     """List the recordings and bags that are named. Empty if a device is named."""
-    if logs and sources:
-        raise ConfigError("--from: give a device, or recordings with --from, not both")
-    paths = [Path(source) for source in (*sources, *logs)]
-    if not paths:
+    if not sources:
         raise ConfigError("identify needs a device, or recordings made with --record")
-    are_files = [
-        path.suffix in (".mcap", ".db3") or path.is_file() or path.is_dir() for path in paths
+    paths = [Path(source) for source in sources]
+    devices = [
+        path
+        for path in paths
+        if not (path.suffix in (".mcap", ".db3") or path.is_file() or path.is_dir())
     ]
-    if not (logs or any(are_files) or len(sources) > 1):
+    # A name that isn't a file is a device, such as one that isn't plugged in.
+    if len(paths) == len(devices) == 1:
         return []
-    if not all(are_files):
-        device = paths[are_files.index(False)]
-        raise ConfigError(f"{device}: isn't a recording; give one device, or recordings only")
+    if devices:
+        raise ConfigError(f"{devices[0]}: isn't a recording; give one device, or recordings only")
     return paths
 
 
@@ -229,10 +230,7 @@ class RunOptions:
 
     def plan(self, manoeuvre: Manoeuvre, config: RobotConfig) -> list[RunPlan]:
         """Plan the runs: as many as there are readings, or `repeats`."""
-        from acsar_gym.tools.sysid.calibration_drive import (
-            plan_straights,
-            plan_turns,
-        )
+        from acsar_gym.tools.sysid.calibration_drive import plan_straights, plan_turns
 
         plans = []
         if self.repeats is not None:
@@ -243,6 +241,7 @@ class RunOptions:
         if manoeuvre == "straight":
             return plans
 
+        # On the largest circle the centre must not be faster than the robot can drive.
         largest = max(*self.radii, 1e-9)
         fastest = min(config.max_angular, config.max_linear / largest)
         shares = (SPEED_SHARE,) if self.measured_deg else TURN_RATE_SHARES
@@ -285,7 +284,7 @@ def calibrate_robot(
     from acsar_gym.recording import read
     from acsar_gym.tools.sysid import calibration
 
-    check_writable(output.json, robot=output.out)
+    output.check()
     readings = calibration.GivenReadings(runs.measured, runs.aside, runs.measured_deg)
     if not device.endswith(".mcap"):
         return _drive_and_finish(device, manoeuvre, runs, readings, setup=setup, output=output)
@@ -296,7 +295,7 @@ def calibrate_robot(
     recorded = calibration.read_recorded_runs(Path(device), manoeuvre, config)
     readings.check([run.manoeuvre for run in recorded])
     in_ros = any(episode.wire.stamped for episode in recording.episodes)
-    return _finish_calibration(readings.give(recorded), config, output, in_ros=in_ros)
+    return _finish_calibration(readings.give(recorded), config, output, device, in_ros=in_ros)
 
 
 def _drive_and_finish(
@@ -316,6 +315,7 @@ def _drive_and_finish(
     config = RobotConfig.of(setup.robot)
     plans = options.plan(manoeuvre, config)
     link = open_link(device, setup.driven(config, device))
+    # Wrong numbers of readings are reported before anything moves.
     has_readings = readings.check([plan.manoeuvre for plan in plans])
     if not (has_readings or setup.record or not link.is_real):
         raise ConfigError(
@@ -323,8 +323,13 @@ def _drive_and_finish(
             "--measured or --measured-deg"
         )
     check_stoppable(device)
-    recorder = setup.recorder("calibrate", link=device)
+    recorder = setup.recorder(link=device)
     runs: list[CalibrationRun] = []
+
+    def finish() -> int:
+        measured = readings.give(runs)
+        return _finish_calibration(measured, config, output, setup.record, in_ros=link.stamped)
+
     try:
         drive_plans(
             Robot(link, config, recorder=recorder),
@@ -339,42 +344,39 @@ def _drive_and_finish(
         if runs:
             say(f"{len(runs)} finished runs are used")
             with contextlib.suppress(ConfigError):  # too few runs: the LinkError is reported
-                _finish_calibration(readings.give(runs), config, output, in_ros=link.stamped)
+                finish()
         raise
-    measured = readings.give(runs)
-    return _finish_calibration(measured, config, output, in_ros=link.stamped, record=setup.record)
+    return finish()
 
 
 def _finish_calibration(
     runs: Sequence[CalibrationRun],
     config: RobotConfig,
     output: FoundRobotOutputs,
+    record: Path | str | None,
     *,
     in_ros: bool,
-    record: Path | None = None,
 ) -> int:
     """Fit, print and write. Returns the exit code."""
     from acsar_gym.tools.sysid import calibration_fit
 
     if not any(run.readings for run in runs):
-        print_results(json=output.json, data=calibration_fit.format_calibration(None, runs, config))
-        later = f"; give them later: acsar-gym calibrate {record} all --measured ..."
-        say(f"no run has a reading: nothing was found{later if record else ''}")
-        if output.out is not None:
-            say(f"{output.out} isn't written: there are no readings yet")
+        output.print(data=calibration_fit.format_calibration(None, runs, config))
+        say(
+            "no run has a reading: nothing was found and no robot's file written. Give readings "
+            f"later: acsar-gym calibrate {record} all --measured ..."
+        )
         return 0
 
     fit = calibration_fit.fit_geometry(runs, config)
-    print_results(
+    output.print(
         calibration_fit.runs_table(fit, config),
         calibration_fit.calibration_table(fit, config),
-        json=output.json,
         data=calibration_fit.format_calibration(fit, runs, config),
     )
-    if output.out is None:
-        return 0
-    output.write(calibration_fit.make_calibrated_config(fit, config, in_ros=in_ros))
-    if in_ros:
+    if output.out is not None:
+        output.write(calibration_fit.make_calibrated_config(fit, config, in_ros=in_ros))
+    if output.out is not None and in_ros:
         say(
             "its controller converts twists with its own radii and separation, which are in ros2 "
             "of the file. Better set the found values in its parameters and delete wheel_radii "
@@ -386,6 +388,7 @@ def _finish_calibration(
 def _announce_run(device: str, options: RunOptions, plan: RunPlan, *, is_real: bool) -> None:
     """Announce a run, and wait until a real robot is in its place."""
     say(f"{plan.name} ...")
+    # A simulated robot needs no person who moves it back.
     if not is_real:
         return
     if sys.stdin.isatty() and not options.yes:
@@ -439,7 +442,7 @@ def measure_gap(
         wire = ("wheels", "baud_rate", "trailing_comma")
         unfitted = unfitted.with_(**{field: getattr(recorded, field) for field in wire})
     gap = twin_gap.measure_gap(recordings, fitted, (Path(before).name, unfitted), body)
-    print_results(*twin_gap.gap_tables(gap), json=output.json, data=twin_gap.format_gap(gap))
+    output.print(*twin_gap.gap_tables(gap), data=twin_gap.format_gap(gap))
     for line in (twin_gap.conclude_gap(gap), *gap.notes):
         say(line)
     return 0
@@ -454,6 +457,7 @@ def _read_logs(paths: Sequence[Path]) -> list[tuple[str, Recording]]:
     logs = [(path.name, read(path)) for path in paths]
     names: dict[str, str] = {}
     for name, log in logs:
+        # A copied file has the same time of its start.
         created = str(log.header["created"])
         if created in names:
             raise ConfigError(f"{name}: is the same recording as {names[created]}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import BUSY_HINT, LateTicksError, LinkError
+from acsar_gym.errors import BUSY_HINT, ConfigError, LateTicksError, LinkError
 from acsar_gym.reading import describe_origin
 from acsar_gym.ros.node import ROS_ARGUMENTS
 from acsar_gym.tools.cli.commands import command
@@ -21,16 +21,15 @@ from acsar_gym.tools.cli.options import (
     GoalDistance,
     LidarArg,
     Names,
-    PageOptions,
     RecordOptions,
     ResultOptions,
     RobotArg,
     RosArgs,
     Worlds,
+    check_page,
     check_stoppable,
     check_writable,
     countdown,
-    print_results,
     say,
 )
 from acsar_gym.tools.training.options import TrainingOptions
@@ -41,20 +40,12 @@ if TYPE_CHECKING:
 
 
 @command("demo")
-def show_demo(
-    output: ResultOptions,
-    steps: int = 150_000,
-    episodes: int = 100,
-    serial_episodes: int = 6,
-    out: File = None,
-) -> int:
+def show_demo(steps: int = 150_000, episodes: int = 100, out: File = None) -> int:
     """Train a policy, run it in PyBullet, then over a serial device. Print one table.
 
     Args:
-        output: Results in a file.
         steps: Env steps of the training.
-        episodes: Episodes in PyBullet.
-        serial_episodes: Episodes over the emulator's pseudo-terminal, in real time.
+        episodes: Episodes in PyBullet. Over the emulator's pseudo-terminal, in real time, a 16th.
         out: New or empty folder for the policy and the logs. Default: runs/demo/1, 2, ...
     """
     from acsar_gym.tools.demo import run_demo
@@ -63,17 +54,14 @@ def show_demo(
     from acsar_gym.tools.training.folders import make_folder
 
     # Report wrong numbers before anything is compiled.
-    output.check()
     TrainingOptions(steps=steps)
-    for count in (episodes, serial_episodes):
-        seed_range(0, count)
+    seed_range(0, episodes)
 
     folder = make_folder(out, "demo")
-    runs = run_demo(steps, episodes, serial_episodes, folder)
+    runs = run_demo(steps, episodes, max(1, episodes // 16), folder)
     rows = [(name, run.summary) for name, run in runs]
     title = f"One policy file, {folder / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
-    data = {name: run.as_dict() for name, run in runs}
-    print_results(report.summary_table(title, rows), json=output.json, data=data)
+    report.print_tables(report.summary_table(title, rows))
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
 
 
@@ -90,9 +78,10 @@ def train_policy(training: TrainingOptions) -> int:
         from acsar_gym.tools.warm_up import warm_env
 
         warmed = warm_env(training.env, training.robot)
-        worlds = f", {warmed.worlds} worlds at hand" if warmed.worlds else ""
-        functions = f"{warmed.functions} functions compiled"
-        print(f"{training.env}: {functions}{worlds}, {warmed.seconds:.1f} s")
+        print(
+            f"{training.env}: {warmed.functions} functions compiled, {warmed.worlds} worlds at "
+            f"hand, {warmed.seconds:.1f} s"
+        )
         return 0
     from acsar_gym.tools.training.run import train
     from acsar_gym.tools.training.seeds import train_seeds
@@ -103,6 +92,7 @@ def train_policy(training: TrainingOptions) -> int:
         else:
             train_seeds(training)
     except KeyboardInterrupt as end:
+        # Services distinguish a program that was ended from one that was interrupted.
         if end.args == (signal.SIGTERM.name,):
             return 128 + signal.SIGTERM
         raise
@@ -148,9 +138,11 @@ class RobotOptions(RecordOptions):
 
 
 @dataclass(frozen=True)
-class EvaluationOptions(PageOptions, RobotOptions, PolicyOptions):
+class EvaluationOptions(ResultOptions, RobotOptions, PolicyOptions):
     """Policy, robot, episodes, worlds and output."""
 
+    html: File = None
+    """Also write an HTML page with tables and plots."""
     episodes: int = 100
     """Number of episodes."""
     seed: int = 0
@@ -170,11 +162,12 @@ def evaluate_policy(evaluation: EvaluationOptions) -> int:
     from acsar_gym.worlds.sets import name_sources
 
     evaluation.check()
+    check_page(evaluation.html)
     check_stoppable(evaluation.link)
     ROS_ARGUMENTS.set(evaluation.ros_args)
     seeds = runs.seed_range(evaluation.seed, evaluation.episodes)
     policy = evaluation.load()
-    recorder = evaluation.recorder("evaluate", link=evaluation.link, policy=policy.about)
+    recorder = evaluation.recorder(link=evaluation.link, policy=policy.about)
     run = runs.evaluate_policy(
         policy,
         evaluation.link,
@@ -190,7 +183,7 @@ def evaluate_policy(evaluation: EvaluationOptions) -> int:
     title = f"{evaluation.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {run.worlds}"
     if evaluation.html is not None and run.results:
         report.write_evaluation_page(evaluation.html, title, run.summary, run.results)
-    return report_run(title, evaluation.link, run, evaluation.json)
+    return report_run(title, evaluation.link, run, evaluation)
 
 
 @command("run", drives=True)
@@ -220,6 +213,7 @@ def run_policy(
     ROS_ARGUMENTS.set(robot.ros_args)
     loaded = policy.load()
 
+    # The countdown comes after all checks, right before the wheels turn.
     def ready() -> None:
         if is_device(robot.link):
             countdown(f"the robot on {robot.link} will drive", yes=yes)
@@ -234,15 +228,15 @@ def run_policy(
         ready=ready,
         late_share=robot.late_share,
         lidar=robot.lidar,
-        record=robot.recorder("run", link=robot.link, policy=loaded.about),
+        record=robot.recorder(link=robot.link, policy=loaded.about),
         goal_distance=goal_distance,
     )
     title = f"{policy.policy} to ({goal[0]:g}, {goal[1]:g}), worlds: {run.worlds}"
-    return report_run(title, robot.link, run, output.json, to_goal=True)
+    return report_run(title, robot.link, run, output, to_goal=True)
 
 
 def report_run(
-    title: str, link: str, run: EvaluationRun, json: Path | None, *, to_goal: bool = False
+    title: str, link: str, run: EvaluationRun, output: ResultOptions, *, to_goal: bool = False
 ) -> int:
     """Print and write the results of an evaluation, then raise what ended it early.
 
@@ -258,8 +252,9 @@ def report_run(
     tables = []
     if run.results:
         tables.append(report.summary_table(title, [(link, run.summary)], run.notes))
-    print_results(*tables, json=json, data=run.as_dict())
+    output.print(*tables, data=run.as_dict())
 
+    # What ended it is reported after the results, as the last line.
     if run.ended is not None:
         raise run.ended
     if run.faults:
@@ -304,6 +299,7 @@ def show_policy(
 
     output.check()
     check_writable(out, mark="")
+    # Only a zip needs trust: the metadata of an ONNX file is text.
     policy: OnnxPolicy
     if resolve(file).suffix == ".zip":
         env_id = find_id(env) if env else ""
@@ -311,7 +307,7 @@ def show_policy(
     else:
         policy = OnnxPolicy(file)
     table = report.fact_table(str(policy.path), policy.document.rows())
-    print_results(table, json=output.json, data=policy.document.model_dump(mode="json"))
+    output.print(table, data=policy.document.model_dump(mode="json"))
     if out is not None:
         policy.save(out)
         say(f"written: {out}")
@@ -351,13 +347,16 @@ class BenchmarkChoice:
 
 
 @dataclass(frozen=True)
-class BenchmarkOutputs(PageOptions):
+class BenchmarkOutputs:
     """Where it runs, and what it writes."""
 
     out: Folder = None
-    """New folder of the results. Default: runs/benchmark/NUMBER."""
+    """New folder of the results, in which benchmark.json has every episode. Default:
+    runs/benchmark/NUMBER."""
     resume: Folder = None
     """Continue an interrupted benchmark in its folder."""
+    html: File = None
+    """Also write an HTML page with tables and plots."""
     csv: File = None
     """Also write the table as CSV."""
     latex: File = None
@@ -369,6 +368,20 @@ class BenchmarkOutputs(PageOptions):
     address: str | None = None
     """Ray cluster: auto, local, host:port or ray://host:port."""
 
+    def check(self) -> None:
+        """Check before the work that the files can be written, and are of a known kind."""
+        from acsar_gym.tools.benchmark import report
+
+        # A benchmark takes hours: every file is checked before it starts.
+        report.check_figure(self.figure, self.html)
+        check_page(self.html)
+        check_writable(self.latex)
+        check_writable(self.csv, mark=report.CSV_MARK)
+        if self.figure is not None:
+            check_writable(self.figure, mark=report.FIGURE_MARKS[self.figure.suffix])
+        if self.out is not None and self.resume is not None:
+            raise ConfigError("--resume: continues in its own folder: leave out --out")
+
 
 @command("benchmark")
 def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
@@ -378,21 +391,12 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
         what: Ids, agents, links, scenes and conditions.
         how: Folder, processes and output.
     """
-    from acsar_gym.errors import ConfigError
     from acsar_gym.tools.benchmark import agents, plan, report, runner, scenes
     from acsar_gym.tools.benchmark.table import make_result
-    from acsar_gym.tools.evaluation.report import write_json
-
-    how.check()
-    report.check_figure(how.figure, how.html)
-    check_writable(how.latex)
-    check_writable(how.csv, mark=report.CSV_MARK)
-    if how.figure is not None:
-        check_writable(how.figure, mark=report.FIGURE_MARKS[how.figure.suffix])
-    if how.out is not None and how.resume is not None:
-        raise ConfigError("--resume: continues in its own folder: leave out --out")
+    from acsar_gym.tools.evaluation.report import print_tables, write_json
 
     # What is compared.
+    how.check()
     sets = scenes.choose_sets(what.env, what.sets, what.robots)
     if what.barn is not None:
         sets += scenes.published_sets(sets, what.barn)
@@ -410,8 +414,8 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
 
     # The results.
     result = make_result(chosen.as_dict(), cells)
-    for path in (folder / runner.RESULT_FILE, how.json):
-        write_json(path, {"origin": describe_origin(), **result}, indent=None)
+    file = folder / runner.RESULT_FILE
+    write_json(file, {"origin": describe_origin(), **result}, indent=None)
     for path, write in (
         (how.html, report.write_benchmark_page),
         (how.csv, report.write_csv),
@@ -420,8 +424,8 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     ):
         if path is not None:
             write(path, result)
-    print_results(report.result_table(result))
+    print_tables(report.result_table(result))
     for refusal in report.list_refusals(result):
         say(refusal)
-    say(f"written: {folder / runner.RESULT_FILE}")
+    say(f"written: {file}")
     return 0

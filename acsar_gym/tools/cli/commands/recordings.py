@@ -20,7 +20,6 @@ from acsar_gym.tools.cli.options import (
     ResultOptions,
     RobotArg,
     check_writable,
-    print_results,
     say,
 )
 
@@ -45,7 +44,7 @@ def describe_recording(
     summary = summarize(bag.open(file, robot)) | {"file": str(file)}
     for line in summary_lines(summary):
         say(line)
-    print_results(json=output.json, data=summary)
+    output.print(data=summary)
     return 0
 
 
@@ -80,6 +79,7 @@ def export_recording(
 
     if not files:
         raise ConfigError("record export needs a recording")
+    # The name comes from the user's file, not from the recording that is made of a bag.
     folder = out
     if folder is None:
         is_folder = files[0].is_dir()

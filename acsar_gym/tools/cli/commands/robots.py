@@ -21,7 +21,6 @@ from acsar_gym.tools.cli.options import (
     check_stoppable,
     check_writable,
     countdown,
-    print_results,
 )
 
 if TYPE_CHECKING:
@@ -123,6 +122,7 @@ class SpinOptions(RecordOptions):
         """Check that wheels may turn, and count down, if they shall turn."""
         from acsar_gym.tools.commission.wiring import parse_seen
 
+        # Only turning wheels show how they are wired, so nothing is written without.
         if not self.spin:
             if self.out is not None or self.saw is not None:
                 raise ConfigError("--out and --saw need --spin, which turns the wheels")
@@ -167,6 +167,7 @@ def examine_robot(
     config = RobotConfig.of(robot)
     if baud_rate is not None:
         config = serial_device.at_baud_rate(config, baud_rate)
+    # A robot in ROS has topics instead of a port: the rows about ports don't apply.
     device = device or config.serial_port
     in_ros = (device or "").partition(":")[0] == "ros2"
     if in_ros and (spinning.spin or baud_rate is not None):
@@ -175,9 +176,10 @@ def examine_robot(
     spinning.prepare(board, device)
 
     rows = [checks.check_estop()] if in_ros else [checks.check_ports(device), checks.check_estop()]
+    # An emergency stop ends the examination, but the rows so far are printed.
     stop = None
     if device is not None:
-        recorder = spinning.recorder("doctor", link=device)
+        recorder = spinning.recorder(link=device)
         try:
             if in_ros:
                 rows.extend(examine_ros(device, config, recorder))
@@ -189,7 +191,7 @@ def examine_robot(
         rows.append(board.save(spinning.out))
 
     data = {"checks": [asdict(check) for check in rows]}
-    print_results(checks.draw_checks(rows), json=output.json, data=data)
+    output.print(checks.draw_checks(rows), data=data)
     if stop is not None:
         raise stop
     return int(any(check.status == "fail" for check in rows))
@@ -201,7 +203,6 @@ def drive_robot(
     link: str = "bullet",
     robot: RobotArg = None,
     lidar: LidarArg = None,
-    window: bool = False,
     linear: float | None = None,
     angular: float | None = None,
     duration: Seconds = None,
@@ -214,7 +215,6 @@ def drive_robot(
         link: bullet, planar, mujoco, or a serial device.
         robot: Preset or config file.
         lidar: A LiDAR to record, such as rplidar:///dev/ttyUSB1, or simulated if the link is.
-        window: Open PyBullet's window.
         linear: Fixed linear speed, at most the robot's max_linear [m/s].
         angular: Fixed angular speed, at most the robot's max_angular [rad/s].
         duration: Seconds to drive with the fixed twist. Default: until Ctrl-C.
@@ -226,14 +226,15 @@ def drive_robot(
     from acsar_gym.sensors.suite import sensor_factories
     from acsar_gym.tools import teleop
 
+    # LB of the gamepad decides when it drives, so a fixed twist would contradict it.
     fixed = (linear, angular, duration)
     if gamepad is not None and (len(gamepad) > 1 or fixed != (None, None, None)):
         raise CommandError("--gamepad takes one device, and no --linear, --angular or --duration")
     check_stoppable(link)
     config = RobotConfig.of(robot)
-    opened = open_link(link, config, window=window, realtime=True)
+    opened = open_link(link, config, realtime=True)
     sensors = sensor_factories(["lidar"], lidar) if lidar else ()
-    driven = Robot(opened, config, sensors, recorder=recording.recorder("drive", link=link))
+    driven = Robot(opened, config, sensors, recorder=recording.recorder(link=link))
     if gamepad is not None:
         teleop.drive_gamepad(driven, *gamepad)
     elif linear is None and angular is None:

@@ -66,10 +66,11 @@ def drive_ros_robot(
 
     if not realtime > 0.0:
         raise ConfigError(f"--realtime {realtime:g}: must be positive")
+    # Empty options leave it to the node's parameters.
     options = {"robot": robot, "link": link, "lidar": lidar, "scene": scene}
     with contextlib.closing(driver.RobotNode(options, node.namespace, node.ros_args)) as driven:
         check_stoppable(driven.link or "serial")
-        recorder = recording.recorder("ros driver", link=driven.link)
+        recorder = recording.recorder(link=driven.link)
         driver.DrivenRobot(driven, realtime, recorder).run()
     return 0
 
@@ -138,7 +139,7 @@ def drive_ros_policy(
         check_stoppable(link)
         if goals.goal is not None:
             countdown(f"the robot on {link} will drive", yes=goals.yes)
-        recorder = recording.recorder("ros policy", link=link, policy=loaded.about)
+        recorder = recording.recorder(link=link, policy=loaded.about)
         return {"record": recorder, "goal_distance": goals.goal_distance}
 
     options = {
@@ -158,4 +159,4 @@ def drive_ros_policy(
         trust=policy.trust,
     )
     title = f"{name} to goals, worlds: {run.worlds}"
-    return report_run(title, link, run, output.json, to_goal=True)
+    return report_run(title, link, run, output, to_goal=True)

@@ -13,7 +13,6 @@ from acsar_gym.tools.cli.options import (
     RobotArg,
     Source,
     check_writable,
-    print_results,
     say,
 )
 
@@ -66,7 +65,7 @@ def check_worlds(
     findings = atlas.check_worlds(worlds, robot)
     title = source if world_set.worlds else str(world_set)
     data = {"source": title, "split": world_set.split or None, "worlds": findings}
-    print_results(atlas.findings_table(title, findings), json=output.json, data=data)
+    output.print(atlas.findings_table(title, findings), data=data)
     return int(any(finding["fault"] for finding in findings))
 
 
@@ -94,6 +93,7 @@ def convert_world(
     from acsar_gym.worlds import files
 
     check_writable(out, mark="")  # people edit worlds
+    # A world of a file may lack both. Generated worlds refuse them.
     ends = {"start": start, "goal": goal}
     placement = {name: text for name, text in ends.items() if text is not None}
     place = {"path": source, **placement} if placement else source
