@@ -60,7 +60,6 @@ BYTE_QUIRKS = {
     "echo": "0.005",  # how late each command comes back [s]
     "stale": "3",  # how often a line is repeated for STALE_TIME [s]
     "set-points": "",  # the commanded speeds as feedback
-    "upper-case": "",
     "upper-case-commands": "",
     "unpadded": "",
     "padded-space": "",
@@ -291,7 +290,7 @@ class QuirkyLink(LinkWrapper):
         is_repeated = self._clock % float(self._quirks.get("stale", "inf")) <= STALE_TIME
         if "stale" not in self._quirks or not is_repeated or not self._sent:
             self._sent = self._write_speeds(line)
-        return self._sent.upper() if "upper-case" in self._quirks else self._sent
+        return self._sent
 
     def _write_speeds(self, line: bytes) -> bytes:
         """Return a line with the speeds that the board reports, in its own numbers."""

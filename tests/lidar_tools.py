@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from lidar_twins import MAKERS
+from lidar_twins import MAKERS, let_wobble
 from numpy.typing import NDArray
 from serial_tools import Emulated, Forked, first_line
 
@@ -72,57 +72,40 @@ def main() -> None:
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--model", default="rplidar")
     parser.add_argument("--rate", type=float, default=20.0)
-    parser.add_argument("--samples", type=int)
-    parser.add_argument("--spin-up", type=float, default=0.0)
     parser.add_argument("--wobble", type=float, default=0.0)
-    parser.add_argument("--broken", action="store_true")
     parser.add_argument("--baud", type=int)
-    parser.add_argument("--fault", choices=["silent", "garbage"])
-    parser.add_argument("--lose", type=int, default=0)
+    parser.add_argument("--fault", choices=["silent", "garbage", "stuck", "broken"])
     options = parser.parse_args()
     maker = MAKERS[options.model]
-    traits: dict[str, Any] = {
-        "rate": options.rate,
-        "spin_up": options.spin_up,
-        "wobble": options.wobble,
-        **maker.options,
-        **({"samples": options.samples} if options.samples else {}),
-        **({"broken": True} if options.broken else {}),
-    }
-    twin = maker.twin(room, **traits)
+    twin = maker.twin(room, **{"rate": options.rate, **maker.options})
+    let_wobble(twin, options.wobble)
     with options.log.open("w", encoding="ascii", buffering=1) as log:
 
         def note(**event: object) -> None:
             log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
 
         baud = options.baud or maker.baud
-        if options.fault or options.lose:
-            spoil(twin, options.fault, options.lose)
-        with LidarEmulator(twin, baud=baud) as emulator:
+        spoil(twin, options.fault)
+        with contextlib.closing(LidarEmulator(twin, baud=baud)) as emulator:
             print(emulator.device, flush=True)
             serve(emulator, note)
 
 
-def spoil(twin: LidarTwin, fault: str | None, lose: int) -> None:
-    """Let a sensor be silent, or send "garbage", or lose the last one of so many bytes."""
-    sent = 0
+HEALTHY = bytes.fromhex("a5 5a 03 00 00 00 06 00 00 00")
+BROKEN = bytes.fromhex("a5 5a 03 00 00 00 06 02 01 80")
+"""Answers of an RPLIDAR about its health."""
+
+
+def spoil(twin: LidarTwin, fault: str | None) -> None:
+    """Give a sensor a fault."""
     receive = twin.receive
-    advance = twin.advance
-
-    def passed(data: bytes) -> bytes:
-        nonlocal sent
-        first = sent + 1
-        sent += len(data)
-        if fault:
-            return b""
-        return bytes(byte for number, byte in enumerate(data, first) if number % lose)
-
-    def tick(dt: float) -> bytes:
-        data = passed(advance(dt))
-        return OTHER_DEVICE if fault == "garbage" else data
-
-    twin.receive = lambda data: passed(receive(data))  # type: ignore[method-assign]
-    twin.advance = tick  # type: ignore[method-assign]
+    if fault == "broken":
+        twin.receive = lambda data: receive(data).replace(HEALTHY, BROKEN)  # type: ignore[method-assign]
+    elif fault:
+        sent = OTHER_DEVICE if fault == "garbage" else b""
+        twin.advance = lambda dt: sent  # type: ignore[method-assign]
+    if fault in ("silent", "garbage"):
+        twin.receive = lambda data: b""  # type: ignore[method-assign]
 
 
 def serve(emulator: LidarEmulator, note: Callable[..., None]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import operator
 import struct
 from collections.abc import Callable, Mapping
@@ -20,6 +21,9 @@ from acsar_gym.tools.emulation.lidar import (
     encode_descriptor,
 )
 
+WAVE = 2.0 * math.pi / 10.0
+"""A wobbling head gets faster and slower once in ten turns [rad/turn]."""
+
 
 class PacketTwin(LidarTwin):
     """Sends measurements when a packet is full.
@@ -29,6 +33,12 @@ class PacketTwin(LidarTwin):
 
     size = 1
     splits = aligned = False
+    wobble = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Turns per second [Hz]."""
+        return self._rate * (1.0 + self.wobble * math.cos(self._now * self._rate * WAVE))
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -97,7 +107,8 @@ class YdlidarTwin(PacketTwin):
 
     size = 40
     splits = True
-    farthest_range = 0xFFFF / 4000.0
+    word_bits = -1
+    has_intensity = False
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -124,18 +135,23 @@ class YdlidarTwin(PacketTwin):
 
     def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
         first, last = (round(degree * 64.0) << 1 | 1 for degree in (degrees[0], degrees[-1]))
-        words = [round(distance * 4000.0) for distance in ranges]
         kind = min(round(self.speed * 10.0), 127) << 1 | 1 if starts else 0
-        check = 0x55AA ^ (kind | len(words) << 8) ^ first ^ last
-        for word in words:
-            check ^= word
-        fields = (0x55AA, kind, len(words), first, last, check)
-        head = struct.pack("<HBBHHH", *fields)
-        return head + struct.pack(f"<{len(words)}H", *words)
+        check = 0x55AA ^ (kind | len(ranges) << 8) ^ first ^ last
+        samples = b""
+        for number, distance in enumerate(ranges):
+            word = round(distance * 4000.0) & self.word_bits
+            intensity = bytes([number * 37 & 0xFF] * self.has_intensity)
+            check ^= word ^ int.from_bytes(intensity)
+            samples += intensity + struct.pack("<H", word)
+        fields = (0x55AA, kind, len(ranges), first, last, check)
+        return struct.pack("<HBBHHH", *fields) + samples
 
 
 class TminiProTwin(YdlidarTwin):
     """A T-mini Pro: its beam goes where the head points. An intensity precedes each distance."""
+
+    word_bits = ~3
+    has_intensity = True
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -147,24 +163,9 @@ class TminiProTwin(YdlidarTwin):
     def measure(self, degrees: Floats, ages: Floats) -> Floats:
         return LidarTwin.measure(self, degrees, ages)
 
-    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
-        first, last = (round(degree * 64.0) << 1 | 1 for degree in (degrees[0], degrees[-1]))
-        kind = min(round(self.speed * 10.0), 127) << 1 | 1 if starts else 0
-        check = 0x55AA ^ (kind | len(ranges) << 8) ^ first ^ last
-        samples = b""
-        for number, distance in enumerate(ranges):
-            intensity = (number * 37) & 0xFF
-            word = round(distance * 1000.0) << 2
-            check ^= intensity ^ word
-            samples += struct.pack("<BH", intensity, word)
-        fields = (0x55AA, kind, len(ranges), first, last, check)
-        return struct.pack("<HBBHHH", *fields) + samples
-
 
 class DenseRplidarTwin(RplidarTwin):
     """An RPLIDAR S2: its typical mode, of number 1, sends dense capsules."""
-
-    farthest_range = 0xFFFF / 1000.0
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -180,7 +181,7 @@ class DenseRplidarTwin(RplidarTwin):
         elif command == 0x84 and is_whole:
             answer = {0x7C: b"\x01\x00", 0x75: b"\x85"}[payload[0]]
             return encode_descriptor(4 + len(answer), SINGLE, 0x20) + payload[:4] + answer
-        elif command == 0x82 and is_whole and payload[0] == 1 and not self._broken:
+        elif command == 0x82 and is_whole and payload[0] == 1:
             self.scanning = self._is_dense = self._is_first = True
             self._waiting = []
             return encode_descriptor(84, MULTIPLE, 0x85)
@@ -207,8 +208,11 @@ class NeatoTwin(PacketTwin):
     """An XV-11 measures once a degree, counter-clockwise."""
 
     size = 4
-    even_angles = aligned = True
-    farthest_range = 0x3FFF / 1000.0
+    aligned = True
+
+    def advance(self, dt: float) -> bytes:
+        self.pace = self.speed * self._samples
+        return super().advance(dt)
 
     def measure(self, degrees: Floats, ages: Floats) -> Floats:
         return super().measure(-degrees, ages)
@@ -222,6 +226,18 @@ class NeatoTwin(PacketTwin):
         for (word,) in struct.iter_unpack("<H", body):
             total = (total << 1) + word
         return body + struct.pack("<H", ((total & 0x7FFF) + (total >> 15)) & 0x7FFF)
+
+
+def let_wobble(twin: LidarTwin, share: float) -> None:
+    """Let a head get faster and slower by this share."""
+
+    def turn(numbers: NDArray[np.int64]) -> Floats:
+        turns = numbers / twin._samples
+        return turns + share / WAVE * np.sin(turns * WAVE)
+
+    twin.wobble = share  # type: ignore[attr-defined]
+    if not isinstance(twin, NeatoTwin):
+        twin.turn = turn  # type: ignore[method-assign]
 
 
 class Maker(NamedTuple):

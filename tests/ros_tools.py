@@ -80,9 +80,9 @@ class Program:
 class ForeignRobot(Program):
     """foreign_robot.py, and its log."""
 
-    def __init__(self, options: tuple[str, ...], folder: Path) -> None:
+    def __init__(self, folder: Path, **options: Any) -> None:
         self.log = folder / f"robot{len(list(folder.glob('robot*.jsonl')))}.jsonl"
-        super().__init__((str(FOREIGN_ROBOT), "--log", str(self.log), *options), folder)
+        super().__init__((str(FOREIGN_ROBOT), str(self.log), json.dumps(options)), folder)
 
     def _lines(self, key: str) -> list[dict[str, Any]]:
         lines = self.log.read_text().splitlines() if self.log.exists() else []

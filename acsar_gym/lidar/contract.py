@@ -72,6 +72,7 @@ def check_revolution(revolution: Revolution, source: str) -> Revolution:
 
     for name, values in checked._asdict().items():
         low, high, unit = REVOLUTION_BOUNDS[name]
+        # NaN fails both comparisons.
         numbers = np.atleast_1d(values)
         count = 1 if name == "stamp" else len(checked.bearings)
         if numbers.shape != (count,) or not ((low <= numbers) & (numbers <= high)).all():
@@ -89,6 +90,7 @@ def check_age(revolution: Revolution, now: float, source: str, config: RobotConf
     Raises:
         LidarError: The revolution is older than lidar.timeout, or too far ahead.
     """
+    # Times of another clock are far behind or far ahead.
     age = now - revolution.stamp
     timeout = config.lidar.timeout
     if age > timeout:

@@ -20,6 +20,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
         ConfigError: There is no such LiDAR, a simulated LiDAR is on a link without a simulation, or
             a device is on a link that doesn't run in real time.
     """
+    # A robot in ROS has its LiDAR there, unless another one is named.
     if url is None and link.ros is not None:
         url = link.ros.device
     name = url if isinstance(url, str) else ""
@@ -72,6 +73,7 @@ def _open_device(url: str, link: Link, config: RobotConfig) -> Lidar:
     from acsar_gym.lidar.drivers import find_drivers  # noqa: PLC0415 - imports pyserial
     from acsar_gym.lidar.serial import SerialLidar  # noqa: PLC0415
 
+    # Names of models are written in many ways: RPLIDAR-A1, rplidar_a1.
     model, _, device = url.partition("://")
     drivers = find_drivers()
     make_driver = drivers.get(model.lower().replace("-", "_"))

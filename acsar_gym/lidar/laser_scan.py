@@ -114,6 +114,7 @@ def read_scan(scan: LaserScan, mount: Mount, source: str, timeout: float) -> Rev
     ranges = np.asarray(scan.ranges, np.float64)
     _check_fields(scan, len(ranges), source, timeout=timeout)
 
+    # Rays in the robot's directions, as seen from the scanner.
     rays = np.arange(len(ranges), dtype=np.float64)
     bearings = mount.yaw + (scan.angle_min + rays * scan.angle_increment)
     is_measured = (scan.range_min <= ranges) & (ranges <= min(scan.range_max, MAX_DISTANCE))
@@ -124,6 +125,7 @@ def read_scan(scan: LaserScan, mount: Mount, source: str, timeout: float) -> Rev
         bearings = np.where(distances > 0.0, np.angle(points), bearings)
         distances = np.where(distances > 0.0, np.abs(points), 0.0)
 
+    # Drivers that leave out the times of rays still give that of the turn.
     step = scan.time_increment or scan.scan_time * abs(scan.angle_increment) / FULL_TURN
     times = scan.stamp + rays * step
     return Revolution(_wrap(bearings), distances, times, float(times.max()))
@@ -230,6 +232,7 @@ def make_scan(
 def _count_rays(bearings: Floats) -> int:
     """Return how many rays of a full turn are as dense as measurements."""
     count = len(bearings)
+    # The typical step, since a part of the turn may be missing.
     steps = np.diff(np.sort(np.mod(bearings, FULL_TURN)))
     step = float(np.median(steps)) if count > 1 else 0.0
     return round(FULL_TURN / max(step, FULL_TURN / (MAX_DENSITY * count))) if step else count

@@ -42,6 +42,7 @@ class ReplayedLidar:
                 "it was made without a LiDAR, or by a version that kept only the scans: record "
                 "again",
             )
+        # The same revolution object, as long as the recording has no newer one.
         stamp, measured = newest
         if self._newest is None or measured is not self._measured:
             self._measured = measured

@@ -66,6 +66,7 @@ class RosLidar:
 
     def _open(self) -> RosNode:
         """Return the node, with subscriptions."""
+        # The node of a ROS link has the same clock. A separate node counts from its own start.
         ros_link = self._link.ros
         link_node = ros_link.node if ros_link else None
         if self._node is not None and (self._owns_node or self._node is link_node):
@@ -90,6 +91,7 @@ class RosLidar:
 
     def _on_static(self, message: Any) -> None:
         """Take static transforms."""
+        # A new transform may replace the one that is in use.
         self._mount = None
         for stamped in message.transforms:
             parent = stamped.header.frame_id.lstrip("/")
@@ -100,6 +102,7 @@ class RosLidar:
         stamp = (read_stamp(message.header.stamp) - self._epoch) / NANOSECONDS
         fields = {name: getattr(message, name) for name in LaserScan._fields if name != "stamp"}
         scan = LaserScan(**fields, stamp=stamp)
+        # Callbacks can't raise, so a problem is kept until `scan`.
         timeout = self._config.lidar.timeout
 
         try:
@@ -109,6 +112,7 @@ class RosLidar:
             self._problem = error
             return
 
+        # A revolution of the last episode, or of another clock.
         if stamp < self._start:
             self._problem = LidarError(
                 f"{self.topic}: its newest scan began {self._start - stamp:.2f} s before the reset",
@@ -171,7 +175,3 @@ class RosLidar:
         if self._node is not None and self._owns_node:
             self._node.close()
         self._forget()
-
-    def __reduce__(self) -> tuple[type[RosLidar], tuple[Any, ...]]:
-        """Copies and pickles are closed LiDARs of the same topic."""
-        return RosLidar, (self._url, self._link, self._config)

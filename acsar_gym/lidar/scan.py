@@ -134,6 +134,7 @@ class Trail:
         is_first = self.newest < 0
         if is_first:
             begin_trail(self.rows, time, pose, dt=self._period)
+        # A mark at the same time replaces the row, as after a reset.
         if is_first or time > self.rows[self.newest, TIME]:
             self.newest = (self.newest + 1) % len(self.rows)
         self.rows[self.newest] = time, *pose
@@ -178,6 +179,7 @@ def look_back(ring: Ring, since: float, until: float, rays: Rays) -> Floats:
             dx = trail[row, PLACE_X] - trail[newest, PLACE_X]
             dy = trail[row, PLACE_Y] - trail[newest, PLACE_Y]
             turned = trail[row, HEADING] - trail[newest, HEADING]
+            # Headings may jump by a full turn between two rows.
             turned -= FULL_TURN * np.floor(turned / FULL_TURN + 0.5)
 
             # The LiDAR on it.
@@ -203,6 +205,7 @@ def place_at(poses: Floats, time: float, period: float) -> tuple[float, float, f
     Returns:
         x, y [m] and heading [rad].
     """
+    # Rows are about a period apart, so the search starts near the right row.
     last = len(poses) - 2
     back = int(min(max((poses[0, TIME] - time) / period, 0.0), float(last)))
     while back < last and poses[back + 1, TIME] > time:
@@ -212,6 +215,7 @@ def place_at(poses: Floats, time: float, period: float) -> tuple[float, float, f
 
     earlier = poses[back + 1, TIME]
     share = min(max((time - earlier) / (poses[back, TIME] - earlier), 0.0), 1.0)
+    # Between two rows the robot moves evenly.
     remainder = 1.0 - share
     return (
         share * poses[back, PLACE_X] + remainder * poses[back + 1, PLACE_X],
@@ -245,6 +249,7 @@ def fill_scan(revolution: Revolution, ring: Ring, rays: Rays, ranges: Floats) ->
         since = min(since, times[k])
         until = max(until, times[k])
     poses = look_back(ring, since, until, rays=rays)
+    # How far the robot turned to each side widens or narrows the gaps between measurements.
     right_turn = left_turn = 0.0
     for k in range(count):
         xs[k], ys[k], turns[k] = place_at(poses, times[k], rays.period)
@@ -278,6 +283,7 @@ def move_measurements(
             turn more.
         lengths: (n,): receives lengths [m], NOTHING for failed measurements.
     """
+    # Distances don't depend on each other here, so the compiler can do several at once.
     full_turn = FULL_TURN / rays.step
     for k in range(len(turns)):
         is_measured = revolution.distances[k] > 0.0
@@ -347,6 +353,7 @@ def spread_to_empty(sides: Floats, gaps: Floats, first: int, step: int, is_full_
     """Give rays without a measurement on one side that of the previous ray."""
     count = len(gaps)
     length = gap = NOTHING
+    # In a full turn, the last ray is next to the first ray.
     if is_full_turn and gaps[first] >= NOTHING:
         for back in range(1, count):
             ray = count - back if step > 0 else back - 1

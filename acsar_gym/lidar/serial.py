@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import math
-import os
 import threading
 import time
 from collections import deque
@@ -124,6 +123,7 @@ class Driver:
         if self.greeting and data.startswith(self.greeting, at):
             return len(self.greeting), NO_MEASUREMENTS
         candidate = bytes(data[at : at + self.packet_bytes])
+        # A cut header may be completed by the next bytes.
         if not self.header.startswith(candidate[: len(self.header)]):
             return 1, None
         if len(candidate) < self.packet_bytes:
@@ -223,6 +223,7 @@ class RevolutionAssembler:
         revolutions = []
         at = 0
         while at < len(self._buffer):
+            # Packets and garbage, one after the other, until the end of a packet is missing.
             size, packet = self._driver.parse(self._buffer, at)
             if not size:
                 break
@@ -256,6 +257,7 @@ class RevolutionAssembler:
         self._marks.append((self._elapsed + packet.delay, arrival))
 
         times = [started + packet.duration * (k + 1) / count for k in range(count)]
+        # Measurements before the first start of a revolution are a part of it, and dropped.
         rows = list(zip(packet.angles, packet.distances, times, strict=True))
         if packet.start is not None:
             if self._rows is None:
@@ -270,6 +272,7 @@ class RevolutionAssembler:
         """Return the complete revolution, once its end is confirmed."""
         rows = self._rows or []
         end = self._end
+        # A device whose revolutions never start must not fill the memory.
         if len(rows) > 2 * MAX_MEASUREMENTS:
             self._restart()
         if end is None or len(rows) < end + self._driver.start_proof:
@@ -291,6 +294,7 @@ def make_revolution(rows: Rows, driver: Driver, marks: Marks, yaw: float) -> Rev
     count = len(rows)
     if not MIN_MEASUREMENTS <= count <= MAX_MEASUREMENTS:
         return None
+    # Angles of failed measurements aren't used below.
     angles, distances, times = np.array(rows, np.float64).T
     (places,) = np.nonzero(distances)
 
@@ -309,6 +313,7 @@ def make_revolution(rows: Rows, driver: Driver, marks: Marks, yaw: float) -> Rev
     if len(places):
         even += np.interp(np.arange(count), places, deviations)
     angles = np.where(distances > 0.0, angles, even)
+    # From clockwise and the LiDAR's zero to counter-clockwise and the robot's x axis.
     bearings = np.pi - (np.radians(angles) - yaw + np.pi) % FULL_TURN
     times = estimate_times(times, marks)
     return Revolution(bearings, distances / 1000.0, times, float(times[-1]))
@@ -329,6 +334,7 @@ def estimate_times(times: Floats, marks: Marks) -> Floats:
     Returns:
         (n,) [s], never after the arrival of a measurement.
     """
+    # The lower hull, by Andrew's monotone chain: marks come in the order of their times.
     hull: list[tuple[float, float]] = []
     for x, y in marks:
         while len(hull) > 1:
@@ -338,6 +344,7 @@ def estimate_times(times: Floats, marks: Marks) -> Floats:
             hull.pop()
         hull.append((x, y))
 
+    # The hull's edge at the mean is the line that is nearest to all marks.
     middle = sum(x for x, _ in marks) / len(marks)
     x0, y0 = hull[0]
     slope = 0.0
@@ -382,6 +389,7 @@ class SerialLidar:
             LidarError: The port can't be opened, or the device doesn't measure.
             MissingExtraError: lds2d isn't installed.
         """
+        # A LiDAR that still delivers needn't spin up again.
         with contextlib.suppress(LidarError):
             self.scan()
             return
@@ -408,6 +416,7 @@ class SerialLidar:
             raise LidarError(f"LiDAR {error.found}", error.fix) from error
 
         reader.start()
+        # The head needs seconds to reach its speed.
         deadline = time.monotonic() + SPIN_UP_TIMEOUT
         while reader.newest is None:
             reader.check()
@@ -466,20 +475,13 @@ class SerialLidar:
 
     def abandon(self) -> None:
         """Close a forked child's copy of the port, without commands to the parent's device."""
-        descriptor = None if self._reader is None else self._reader.port.fileno()
-        if descriptor is not None:
-            null = os.open(os.devnull, os.O_RDWR)
-            os.dup2(null, descriptor)
-            os.close(null)
+        if self._reader is not None:
+            self._reader.port.detach()
         self._release()
 
     def __del__(self) -> None:
         if getattr(self, "_reader", None) is not None:
             self.close()
-
-    def __reduce__(self) -> tuple[type[SerialLidar], tuple[Any, ...]]:
-        """Copies and pickles are closed LiDARs on the same device. A port can't be shared."""
-        return SerialLidar, (self.device, self._make_driver, self._config, self._now)
 
 
 class _Reader(threading.Thread):
@@ -516,6 +518,7 @@ class _Reader(threading.Thread):
                 data = self.port.read()
                 now = self._now()
 
+                # Bytes that waited while the computer slept would get wrong times.
                 asleep_since = awake
                 awake = time.monotonic()
                 if awake - asleep_since > MAX_SLEEP:

@@ -133,6 +133,7 @@ def find_passer(
         x, y, _, _ = locate_mover(passers.movers[m], passers.pieces, clock)
         return x, y
 
+    # People who react have no formula: their places were stored at each tick.
     slots = len(ring.rows)
     places = passers.places
     rows_ago = min(max((ring.rows[ring.newest, TIME] - time) / period, 0.0), slots - 1.0 - 1e-9)
@@ -176,10 +177,12 @@ def measure_revolution(
     x = pose[PLACE_X]
     y = pose[PLACE_Y]
     cos, sin = cos_sin(pose[HEADING])
+    # Revolutions are counted from the reset. The one before it has the number -1.
     number: float = np.floor((pose[TIME] - traits.start) * traits.scan_rate - traits.phase)
     ended = traits.start + (number + traits.phase) / traits.scan_rate
 
     aim_beams(ring, ended, duration=1.0 / traits.scan_rate, rays=rays, beams=beams)
+    # Walls and obstacles first, then movers in front of them.
     cast_lines(
         x,
         y,
@@ -214,6 +217,7 @@ def aim_beams(ring: Ring, ended: float, duration: float, rays: Rays, beams: Beam
     starts and ends. If a robot turns against it, no measurement points into the gap between the two
     ends. The later end is taken there.
     """
+    # The average rate of the robot since the start of the revolution.
     started = ended - duration
     elapsed = ring.rows[ring.newest, TIME] - started
     poses = look_back(ring, started, ended, rays=rays)
@@ -253,6 +257,7 @@ def meet_disc(outside: float, along: float) -> float:
         outside: Square of the distance to the centre, less the square of the radius [m^2].
         along: Distance to the centre along the beam [m].
     """
+    # The discriminant of the quadratic equation of beam and circle.
     inside = along * along - outside
     if outside <= 0.0:
         return 0.0
@@ -319,6 +324,7 @@ def see_passers(
             nearest = 0.0
             half = full_turn
         middle = (angle_of(dx * cos + dy * sin, dy * cos - dx * sin) - rays.start) / rays.step
+        # The disc may lie across the ends of the rays.
         for shift in (-full_turn, 0.0, full_turn):
             low = max(math.ceil(middle + shift - half), 0)
             high = min(math.floor(middle + shift + half), count - 1)
@@ -351,6 +357,7 @@ def add_errors(distances: Floats, number: float, traits: LidarTraits, rays: Rays
     count = len(distances)
     is_full_turn = abs(FULL_TURN / rays.step - count) < 1e-6
     after_last = distances[0] if is_full_turn else distances[count - 1]
+    # Random numbers are functions of revolution and ray, so that a batch draws the same.
     base = (int(number) + 1) * SAMPLE_STRIDE * SAMPLE_KINDS
     kept_noise = 0.0
     for k in range(count):
@@ -417,6 +424,7 @@ class SimulatedLidar:
         config = self._config
         self._around = make_surroundings(scene.world, ray_spec(config), config)
 
+        # Without randomization, the errors are those of the robot's file.
         physics = scene.physics or compute_physics(config)
         phase, key = draw_episode(rng)
         self._traits = LidarTraits(
@@ -430,6 +438,7 @@ class SimulatedLidar:
             key=key,
         )
 
+        # A measurement is used until the next revolution is complete.
         self.oldest = 2.0 / physics.scan_rate
         self._trail = Trail(self.oldest, config.period)
         self._passers = see_nobody()
@@ -445,6 +454,7 @@ class SimulatedLidar:
         crowd = truth.crowd
         rows = self._trail.rows
         if is_first:
+            # The states are a view: they change with the crowd. Places are copies.
             places = np.zeros((len(rows), len(crowd.states), 2))
             motions = crowd.motions
             self._passers = Passers(motions.movers[0], motions.pieces[0], crowd.states, places)

@@ -180,37 +180,9 @@ class LinkWrapper(Link):
     def __init__(self, inner: Link) -> None:
         self.inner = inner
 
-    def open(self) -> None:
-        """Open the wrapped link."""
-        self.inner.open()
-
-    def reset(self, scene: Scene) -> None:
-        """Reset the wrapped link."""
-        self.inner.reset(scene)
-
-    def write(self, data: bytes) -> None:
-        """Send bytes to the wrapped link."""
-        self.inner.write(data)
-
-    def advance(self, period: float) -> bytes:
-        """Let a period pass [s]. Returns the bytes that arrived during it."""
-        return self.inner.advance(period)
-
-    def now(self) -> float:
-        """Return the time on the wrapped link's clock [s]."""
-        return self.inner.now()
-
-    def clock(self) -> float:
-        """Return the wrapped link's time for devices [s]."""
-        return self.inner.clock()
-
-    def close(self) -> None:
-        """Close the wrapped link."""
-        self.inner.close()
-
 
 def _forwarded(name: str) -> property:
-    """A property that is the same attribute of the wrapped link."""
+    """A property that is the same attribute or method of the wrapped link."""
 
     def read(wrapper: LinkWrapper) -> object:
         return getattr(wrapper.inner, name)
@@ -221,7 +193,7 @@ def _forwarded(name: str) -> property:
     return property(read, write)
 
 
-# A wrapper has each ability that `Link` declares as an attribute or a property.
-for _name, _default in vars(Link).items():
-    if not (_name.startswith("_") or callable(_default)):
+# A wrapper has each method and each ability that `Link` declares, also those of later versions.
+for _name in vars(Link):
+    if not _name.startswith("_"):
         setattr(LinkWrapper, _name, _forwarded(_name))

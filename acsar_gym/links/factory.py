@@ -122,6 +122,7 @@ def open_link(
             advice = ": for a device, write its full path, or ./ before it"
         raise ConfigError(f"unknown link {show_value(url)}{advice}")
 
+    # A window is of use in real time only.
     link = backend.make(url, config, window)
     if backend.is_simulated and (realtime or window):
         from acsar_gym.links.simulated import PacedLink  # noqa: PLC0415

@@ -119,6 +119,7 @@ class FaultyWire:
         if line.strip():  # the second half of a line end that was split isn't a line
             number = self._lines_sent
             self._lines_sent += 1
+            # A line that is lost isn't late as well.
             dropped = line_hash(self._key, self._stream, number, DROPPED_LINE)
             if dropped < self._faults.dropped_lines:
                 return
@@ -126,6 +127,7 @@ class FaultyWire:
             if late < self._faults.late_lines:
                 release += self._faults.lateness
 
+        # A full buffer loses the newest lines, as a driver's does.
         if not self._queue or self._queued_bytes + len(line) <= WIRE_BUFFER:
             self._queue.append((release, line))
             self._queued_bytes += len(line)
@@ -158,6 +160,7 @@ class FaultyLink(LinkWrapper):
         key = self._key
         self._key = float(self._rng.random())
 
+        # Sound episodes among faulty ones show a policy both.
         has_faults = line_hash(key, WHOLE_EPISODE, 0.0, 0) < self._faults.episodes
         self._commands = self._feedback = None
         if has_faults and self._faults.direction != "feedback":
@@ -174,6 +177,7 @@ class FaultyLink(LinkWrapper):
 
     def advance(self, period: float) -> bytes:
         """Let a period pass [s], and return the feedback that arrived in it."""
+        # Late commands arrive between two periods as well.
         if self._commands is not None and (late := self._commands.carry(b"", self.inner.now())):
             self.inner.write(late)
         data = self.inner.advance(period)

@@ -53,6 +53,7 @@ def wait_for_board(read: Callable[[], bytes], device: str, config: RobotConfig) 
             f"{shown_bytes(decoder.partial)}",
             "press its reset button, and check its power and program",
         )
+    # Bytes without a line: most often it is the baud rate.
     other_rates = ", ".join(str(rate) for rate in BAUD_RATES if rate != config.baud_rate)
     raise BoardGarbledError(
         f"{device}: {received} bytes in {waited} at {config.baud_rate} baud, but no valid line: "

@@ -81,6 +81,7 @@ class EpisodeStopwatch:
         self._worst_age = max(age, self._worst_age)
         if lateness > self._late_limit:
             self._late_ticks += 1
+            # Deadlines that have passed meanwhile had no tick.
             if lateness > self._period:
                 self._missed_ticks += int(lateness / self._period)
         return lateness
@@ -101,6 +102,7 @@ class EpisodeStopwatch:
             self._trip_start = None
         elif self._trip_start is None and self._fastest < STANDSTILL:
             self._trip_start = written
+            # Noise of wheels at rest isn't an effect.
             self._visible_speed = max(VISIBLE_SPEED, 2.0 * self._fastest)
         self._fastest = fastest
         return self._trip_start is not None
@@ -132,6 +134,7 @@ class EpisodeStopwatch:
 
 def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:
     """Return when the first byte of the newest line of a period arrived [s]."""
+    # The newest whole line, which may have come in several pieces.
     data = b"".join(piece for _, piece in arrivals)
     newest = _after_last_line(data[: _after_last_line(data)].rstrip(b"\r\n"))
 

@@ -146,6 +146,7 @@ class PortLocation:
 
             WHILE_WAITING.get()()
             time.sleep(pause)
+            # A busy port is free again soon, a lost port takes seconds.
             pause = min(2.0 * pause, MAX_OPEN_PAUSE)
 
     def note_loss(self, port: OpenPort) -> None:
@@ -292,6 +293,7 @@ class OpenPort:
         """Return what has arrived, without waiting."""
         data = b""
         with self._translating_errors():
+            # A device that never stops sending must not block the caller.
             for _ in range(MAX_READ_CHUNKS):
                 chunk = self._port.read(READ_CHUNK)
                 data += chunk

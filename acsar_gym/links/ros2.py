@@ -199,6 +199,7 @@ class Ros2Link(GuardedLink):
         """Find the subscription of commands and its type."""
         settings = self._config.ros2
         self.command_topic = node.resolve(settings.command_topic)
+        # The best kind that the robot subscribes, unless its file names one.
         wanted = [settings.command] if settings.command else [*COMMAND_KINDS]
 
         def find_kind() -> str:
@@ -228,6 +229,7 @@ class Ros2Link(GuardedLink):
         odom = node.resolve(settings.odom_topic)
         topics = {"joint_states": [joints], "odom": [odom], None: [joints, odom]}
         choices = topics[settings.feedback]
+        # Joint states are better than odometry, so they are waited for first.
         self._wait(lambda: node.list_publishers(choices[0]))
         published = [topic for topic in choices if node.list_publishers(topic)]
         if not published:
@@ -264,6 +266,7 @@ class Ros2Link(GuardedLink):
     def _start_clock(self, node: RosNode) -> None:
         use_sim_time = self._config.ros2.use_sim_time
         if use_sim_time is None:
+            # A simulation that publishes /clock stamps by it as well.
             use_sim_time = bool(node.list_publishers("/clock"))
         self.uses_sim_time = use_sim_time
         if use_sim_time:
@@ -285,6 +288,7 @@ class Ros2Link(GuardedLink):
         if not self._wait(lambda: self._pending):
             raise self._silence_error(self._config.connect_timeout)
         self._advanced = self.now()
+        # The second publisher may have other joints, such as those of an arm.
         if len(self.feedback_publishers) > 1:
             self._wait(lambda: len(self._sources) > 1, PUBLISHERS_TIME)
         self._refuse_publishers()
@@ -416,6 +420,7 @@ class Ros2Link(GuardedLink):
     def _take_speeds(self, when: float, speeds: Speeds) -> None:
         if (encoders := self._config.wheels.encoders) is not None:
             speeds = encoders.to_wire(speeds)
+        # Six decimals, more than a board's line has, so that no speed is rounded.
         line = ",".join(
             f"{letter}{'p' if speed >= 0.0 else 'n'}{abs(speed):09.6f}"
             for letter, speed in zip("abcd", speeds, strict=True)
@@ -429,6 +434,7 @@ class Ros2Link(GuardedLink):
     def _take_command(self, message: Any) -> None:
         """Find commands of other nodes among those that the robot gets."""
         self._messages += 1
+        # The link also gets its own commands.
         content = read_command(message)
         if content in self._sent:
             return
@@ -473,6 +479,7 @@ class Ros2Link(GuardedLink):
         command = self._command
         a, b, c, d = speeds
         if self.command_kind == "wheel_speeds":
+            # Both wheels of a side are one joint on a robot with two wheels.
             joints = self._config.ros_joints
             if self._config.has_two_wheels:
                 speeds = ((a + d) / 2.0, (b + c) / 2.0, (b + c) / 2.0, (a + d) / 2.0)
@@ -512,6 +519,7 @@ class Ros2Link(GuardedLink):
     def _place_robot(self, node: RosNode, scene: Scene) -> None:
         """Put a simulated robot of `acsar-gym ros driver` into a scene, if there is one."""
         prefix = f"{node.namespace.rstrip('/')}/{DRIVER_NODE}"
+        # Only a driver with a simulated robot offers this service.
         services = {name for name, _ in node.node.get_service_names_and_types()}
         self.is_simulated = f"{prefix}/reset" in services
         if not self.is_simulated:
@@ -559,6 +567,7 @@ class Ros2Link(GuardedLink):
         self._deadline += period
         while True:
             earlier = self._check_clock()
+            # Messages that have arrived are all handled before the period ends.
             messages = self._messages
             node.spin(min(self._deadline - earlier, self.watchdog.beat_interval, period))
             self._beat()

@@ -63,6 +63,7 @@ class SerialLink(GuardedLink):
         self.watchdog.start(self.port.fileno())
 
     def _wait_for_feedback(self) -> None:
+        # What waited in the driver is of an earlier program.
         self.port.drop_input()
         self.port.drop_output()
         self.stop()
@@ -112,6 +113,7 @@ class SerialLink(GuardedLink):
         """
         self._deadline += period
         keeps_arrivals = self._keeps_arrivals
+        # Times of arrival cost many short waits, so they are noted only if a caller reads them.
         self._keeps_arrivals = False
         self._arrivals = []
 
@@ -133,6 +135,7 @@ class SerialLink(GuardedLink):
         """Wait for bytes, and keep them with the time of their arrival."""
         if self.port.wait_for_bytes(pause):
             data = self.port.read()
+            # A port that was unplugged reports bytes and has none, over and over.
             if data:
                 self._arrivals.append((self.now(), data))
             else:

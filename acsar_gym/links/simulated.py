@@ -67,6 +67,7 @@ class SimulatedLink(Link):
         body = self.body
         if body is None or self._firmware is None:
             raise _closed_error()
+        # Firmware and body first: movers meet the robot where it is now.
         self._now += period
         data = self._firmware.advance(period)
 
@@ -98,6 +99,7 @@ class SimulatedLink(Link):
         """State of the body and the movers. The origin before the link is opened."""
         truth = self.body.truth if self.body else GroundTruth()
         crowd = self._crowd
+        # A mover that hits the robot is a contact, even if the body didn't feel it.
         if crowd is None:
             return truth
         return GroundTruth(truth.pose, truth.twist, truth.contact or crowd.hit > 0.0, crowd)
@@ -149,6 +151,7 @@ class PacedLink(LinkWrapper):
         """Advance the link, then wait for the deadline. Missed deadlines are skipped."""
         data = super().advance(period)
         real_period = period / self._speed
+        # After a pause the deadlines start again, instead of catching up.
         self._deadline = max(self._deadline + real_period, time.monotonic() - real_period)
         time.sleep(max(0.0, self._deadline - time.monotonic()))
         return data

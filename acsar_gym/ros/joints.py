@@ -124,6 +124,7 @@ class JointReader:
         # Positions jump if encoders are reset.
         fastest = max(speeds, key=abs)
         if abs(fastest) > MAX_WHEEL_SPEED:
+            # The positions are kept: the next difference is right again.
             joint = show_value(self._joints[speeds.index(fastest)])
             raise _RefusedError(
                 "too fast",
@@ -136,6 +137,7 @@ class JointReader:
 
     def _check_names(self, names: Sequence[str]) -> None:
         """Refuse a message that doesn't name each wheel once."""
+        # A joint of a side is named once, though it drives two wheels.
         counts = Counter(name for name in names if name in self._joints)
         for joint in self._joints:
             if not counts[joint]:

@@ -142,6 +142,7 @@ class RosNode:
         overrides: dict[str, Any] | None = None,
         services: bool = False,
     ) -> None:
+        # Fast DDS reads it when the context is made.
         os.environ.setdefault(*TRANSPORTS)
         self.ros = ros = load_ros()
         self.problem = ""
@@ -175,6 +176,7 @@ class RosNode:
             with contextlib.suppress(Exception):
                 self._context.try_shutdown()
             raise RosSetupError(name, namespace, error) from error
+        # Each node has its own executor, so that several links can spin in one process.
         self.declare(parameters or {})
         self._executor = ros.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
@@ -315,6 +317,7 @@ class RosNode:
 
     def use_sim_time(self) -> None:
         """Take the time from /clock from now on."""
+        # The arguments of the node may contain it.
         parameter = self.ros.parameter.Parameter
         if not self.node.has_parameter("use_sim_time"):
             self.node.declare_parameter("use_sim_time", value=False)
@@ -337,6 +340,7 @@ class RosNode:
         self, condition: Callable[[], Any], timeout: float, poll: Callable[[], None] = lambda: None
     ) -> bool:
         """Spin until a condition holds. Return whether it does within a time [s]."""
+        # By the real clock, as a simulated one may stand still.
         deadline = time.monotonic() + timeout
         while not condition():
             if time.monotonic() >= deadline:
@@ -367,6 +371,7 @@ def interrupts_deferred() -> Iterator[None]:
     if not (is_main and callable(handler)):
         yield
         return
+    # Signals wait until rclpy has returned.
     interrupts: list[tuple[int, FrameType | None]] = []
     signal.signal(signal.SIGINT, lambda number, frame: interrupts.append((number, frame)))
     try:
@@ -416,5 +421,6 @@ def make_command(ros: SimpleNamespace, kind: str, frame: str = "") -> Any:
 
 def child_environment() -> dict[str, str]:
     """Return the environment of a process that must find everything this process has imported."""
+    # Paths relative to this folder would be wrong in another.
     folders = [os.path.abspath(folder) for folder in sys.path]  # noqa: PTH100
     return os.environ | {"PYTHONPATH": os.pathsep.join(folders)}

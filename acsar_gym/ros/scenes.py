@@ -57,6 +57,7 @@ def name_world(world: World | None, config: RobotConfig) -> str:
     """
     if world is None:
         return ""
+    # Generators name their worlds by kind and number.
     kind, _, number = world.name.rpartition(" ")
     module = registry.home_module(kind)
     name = f"{module}:{kind}:{number}" if module else f"{kind}:{number}"

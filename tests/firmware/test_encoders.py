@@ -43,4 +43,3 @@ def test_encoders_lose_no_edge_at_the_limit_that_the_compiler_allows(
     assert np.mean(board, axis=0) == pytest.approx(np.mean(true, axis=0), abs=0.01)
     assert np.mean(true, axis=0) == pytest.approx(speeds, abs=0.01)
     assert ran.figures["busy"] < 0.95
-    print(f"\n{chip}, {channels} channels: busy {ran.figures['busy']:.3f}")

@@ -29,11 +29,6 @@ def off_since(ran: Ran, wheel: int) -> float:
     return max(time for time, duty in ran.states("duty") if duty[wheel])
 
 
-def reached(ran: Ran, wheel: int) -> float:
-    """The fastest that a wheel has turned [rad/s]."""
-    return max(abs(speeds[wheel]) for _, speeds in ran.states("speeds"))
-
-
 @pytest.mark.parametrize("speed", [0.3, 1.0, -1.0, 20.0])
 def test_guard_cuts_the_motor_of_a_reversed_encoder_at_once(
     chip: str, tmp_path: Path, speed: float
@@ -49,11 +44,8 @@ def test_guard_cuts_the_motor_of_a_reversed_encoder_at_once(
     assert ran.feedback()[-1][1][0] == 0.0  # the host sees a wheel that stands
     assert set(ran.notes()) == {CONTRARY}  # and why, at once and every second
     assert len(ran.notes()) == 2
-    if abs(speed) == 1.0:  # as reported: 15.4 rad/s for as long as it was commanded
-        print(
-            f"\n{chip}: {reached(ran, 0):.1f} rad/s, cut {off_since(ran, 0) - turned:.3f} s later"
-        )
-        assert reached(ran, 0) < 7.0
+    if abs(speed) == 1.0:  # without the guard: 15.4 rad/s for as long as it was commanded
+        assert max(abs(speeds[0]) for _, speeds in states) < 7.0
 
 
 def test_guard_cuts_a_contrary_motor_until_zero_is_commanded(

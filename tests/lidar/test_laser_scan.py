@@ -48,9 +48,10 @@ def test_read_scan_counts_rays_from_the_first_ray_and_its_stamp() -> None:
     assert revolution.distances.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert revolution.times == pytest.approx([7.0, 7.01, 7.02, 7.03, 7.04])
     assert revolution.stamp == pytest.approx(7.04)
-    clockwise = read(SCAN._replace(angle_min=0.5, angle_increment=-0.25))
+    clockwise = read(SCAN._replace(angle_min=0.5, angle_increment=-0.25, time_increment=-0.01))
     assert clockwise.bearings == pytest.approx([0.5, 0.25, 0.0, -0.25, -0.5])
-    assert clockwise.times == pytest.approx(revolution.times)
+    assert clockwise.times == pytest.approx([7.0, 6.99, 6.98, 6.97, 6.96])
+    assert clockwise.stamp == 7.0
 
 
 def test_read_scan_takes_the_time_of_the_scan_if_rays_have_no_times() -> None:
@@ -59,17 +60,14 @@ def test_read_scan_takes_the_time_of_the_scan_if_rays_have_no_times() -> None:
     assert read(scan._replace(scan_time=0.0)).times.tolist() == [7.0] * 5
 
 
-def test_read_scan_of_a_head_against_the_order_of_rays_ends_with_the_first_ray() -> None:
-    revolution = read(SCAN._replace(time_increment=-0.01))
-    assert revolution.times == pytest.approx([7.0, 6.99, 6.98, 6.97, 6.96])
-    assert revolution.stamp == 7.0
-
-
-def test_read_scan_makes_failures_zero() -> None:
+def test_read_scan_makes_failures_zero_and_moves_the_others_by_the_mount() -> None:
     ranges = array("f", [INF, NAN, 0.05, 10.5, 0.0, -1.0, 9.5, -INF])
     assert read(SCAN._replace(ranges=ranges)).distances.tolist() == [0.0] * 6 + [9.5, 0.1]
     unlimited = SCAN._replace(ranges=[1e7, 20.0], range_max=INF)
     assert read(unlimited).distances.tolist() == [0.0, 20.0]
+    moved = read(SCAN._replace(angle_min=0.0, ranges=[2.0, INF]), Mount(1.0, 3.0, math.pi / 2))
+    assert moved.bearings == pytest.approx([math.atan2(5.0, 1.0), math.pi / 2 + 0.25])
+    assert moved.distances == pytest.approx([math.hypot(1.0, 5.0), 0.0])
 
 
 def make_transform(roll: float, pitch: float, yaw: float, *, scale: float = 1.0) -> Any:
@@ -95,17 +93,11 @@ def test_read_mount_turns_bearings_by_its_yaw(yaw: float, roll: float, pitch: fl
     assert angles_between(yaw - 0.5, bearings)[0] < 1e-9
 
 
-def test_read_scan_moves_measurements_by_the_mount() -> None:
-    revolution = read(SCAN._replace(angle_min=0.0, ranges=[2.0, INF]), Mount(1.0, 3.0, math.pi / 2))
-    assert revolution.bearings == pytest.approx([math.atan2(5.0, 1.0), math.pi / 2 + 0.25])
-    assert revolution.distances == pytest.approx([math.hypot(1.0, 5.0), 0.0])
-
-
 @pytest.mark.parametrize(
     ("transform", "message"),
     [
         (make_transform(0.0, 0.0, 0.0, scale=0.0), "must be finite numbers and a quaternion"),
-        (make_transform(0.0, 0.2, 1.0), "/scan: its frame is tilted by 11.5 degrees"),
+        (make_transform(0.0, 0.1, 1.0), "/scan: its frame is tilted by 5.7 degrees"),
         (make_transform(math.pi, 0.0, 0.3), "is tilted by 180.0 degrees: .* upside down"),
     ],
 )
@@ -123,7 +115,6 @@ def test_read_mount_refuses_a_bad_transform(transform: Any, message: str) -> Non
         ({"angle_increment": 0.0}, "angle_increment = 0: must be the angle"),
         ({"time_increment": 0.1}, r"time_increment = 0.1: 5 rays would take 0.4 s, at most 0.2 s"),
         ({"time_increment": 0.4, "scan_time": 0.0}, r"would take 1.6 s, at most 1 s are possible"),
-        ({"scan_time": -0.1}, "scan_time = -0.1: must not be negative"),
         ({"range_max": NAN}, "range_min = 0.1: must be less than range_max"),
         (
             {"angle_increment": 1.0, "ranges": [1.0] * 360, "time_increment": 0.0},

@@ -135,3 +135,16 @@ def test_fill_scan_interpolates_between_neighbours(data: Any) -> None:
         assert low - 1e-9 <= ranges[k] <= high + 1e-9
         if high == 4.0:
             assert ranges[k] == pytest.approx(distances[np.abs(gaps).argmin()])
+
+
+@pytest.mark.parametrize(
+    ("rise", "expected"),
+    [(0.029, 1.0 + 0.25 * 0.029), (-0.028, 1.0 - 0.25 * 0.028), (0.031, 1.0), (-0.031, 1.0)],
+)
+def test_fill_scan_interpolates_on_a_surface_of_a_limited_slope(
+    rise: float, expected: float
+) -> None:
+    """Two measurements are 0.01 rad apart, so that their distances may differ by 3 %."""
+    bearings = np.array([-0.0025, 0.0075])
+    still = Revolution(bearings, np.array([1.0, 1.0 + rise]), np.zeros(2), 0.0)
+    assert scan(still, STANDSTILL)[32] == pytest.approx(expected, abs=1e-9)

@@ -56,11 +56,7 @@ MOVERS: dict[str, list[Mover]] = {
         follow_keys(
             [0.0, 0.3, 0.5], [[-2.0, 1.0], [-1.0, 2.0], [0.0, 1.5]], smooth=True, phase=0.2
         ),
-        follow_keys([0.0, 1.3], [[30.0, 30.0], [8.0, 30.0]]),
-    ],
-    "splines": [
         follow_keys([0.0, 1.0, 1.5, 3.0], [[1, 1], [1, -1], [2, 0], [1, 1]], smooth=True),
-        follow_keys([0.0, 0.6, 1.2], [[-1, 1], [-2, 1], [-1, -1]], smooth=True, spread=2.0),
     ],
     "people who react": [
         walk([[-2.0, 0.8], [2.5, 0.2]], 1.3, reacts=True),

@@ -31,22 +31,6 @@ def test_arrivals_in_simulation_are_when_their_last_bit_does() -> None:
     link.close()
 
 
-def test_arrivals_of_a_simulation_are_recorded(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
-    with Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path)) as robot:
-        for _ in range(50):
-            robot.drive(0.2, 0.0)
-
-    (episode,) = read(path).episodes
-    stamps, speeds = episode.wire.feedback(CONFIG)
-    assert len(stamps) >= 50
-    (phase,) = {round(math.fmod(stamp, 0.01), 6) for stamp in stamps.tolist()}
-    assert 0.001 < phase < 0.009
-    assert speeds[-1].tolist() == episode.speeds[-1].tolist()
-    sent, _ = episode.wire.commands(CONFIG)
-    assert sent[:3].tolist() == [0.0, 0.01, 0.02]
-
-
 def test_arrivals_of_a_real_drive_are_recorded_and_replays(
     shared_device: str, tmp_path: Path
 ) -> None:

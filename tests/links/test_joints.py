@@ -4,38 +4,25 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acsar_gym.ros.joints import JointReader
 
 FOUR = ("fr", "fl", "rl", "rr")
 SPEEDS = (1.0, 2.0, 3.0, 4.0)
-SIDES = ("r", "l", "l", "r")
 NAN = math.nan
 
 
 def test_joint_speeds_are_found_by_name_among_other_joints() -> None:
     reader = JointReader(FOUR)
+    assert reader.read(["arm", "arm"], [], [NAN, 1.0, 2.0], 5.0) is None
     names = ["arm", "rr", "fl", "gripper", "fr", "rl"]
     got = reader.read(names, array("d"), array("d", [9.0, 4.0, 2.0, NAN, 1.0, 3.0]), 0.0)
     assert got == SPEEDS
     assert (reader.reason, reader.refused) == ("", {})
-
-
-def test_joint_of_a_side_stands_for_both_wheels() -> None:
-    assert JointReader(SIDES).read(["l", "r"], [], [2.0, 1.0], 0.0) == (1.0, 2.0, 2.0, 1.0)
-
-
-def test_joint_messages_of_other_joints_are_no_mistake() -> None:
-    reader = JointReader(FOUR)
-    assert reader.read(["arm", "arm"], [], [NAN, 1.0, 2.0], 5.0) is None
-    assert reader.read([], [], [], NAN) is None
-    assert (reader.reason, reader.refused) == ("", {})
-    assert reader.read(FOUR, [], SPEEDS, 1.0) == SPEEDS
+    sides = JointReader(("r", "l", "l", "r"))
+    assert sides.read(["l", "r"], [], [2.0, 1.0], 0.0) == (1.0, 2.0, 2.0, 1.0)
 
 
 @pytest.mark.parametrize("velocities", [[], [NAN] * 4])
@@ -82,59 +69,33 @@ def test_joint_encoders_that_were_reset_are_refused_once() -> None:
     assert reader.refused == {"too fast": 1}
 
 
-Refused = tuple[Sequence[str], Sequence[float], Sequence[float], float, str, str]
-REFUSED: dict[str, Refused] = {
-    "missing": (
-        ["fr", "fl", "rr"],
-        [],
-        [1.0] * 3,
-        2.0,
-        "joint missing",
-        "joint_states has no 'rl' (it has 'fr', 'fl', 'rr')",
-    ),
-    "twice": ([*FOUR, "rl"], [], [1.0] * 5, 2.0, "joint repeated", "names 'rl' 2 times"),
-    "short": (FOUR, [], [1.0] * 3, 2.0, "wrong length", "4 names and 3 values of velocity"),
-    "nan": (FOUR, [], [1.0, 1.0, NAN, 1.0], 2.0, "not finite", "has nan as the velocity of 'rl'"),
-    "nothing": (FOUR, [], [], 2.0, "no numbers", "has neither velocities nor positions"),
-    "same time": (FOUR, [], SPEEDS, 1.0, "stamp", "is stamped 1 s, not after the previous message"),
-    "no time": (FOUR, [], SPEEDS, NAN, "stamp", "stamped nan s"),
-    "fast": (FOUR, [], [1.0, 1.0, 1.0, -1001.0], 2.0, "too fast", "'rr' turns at -1001 rad/s"),
-}
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_joint_messages_that_are_bad_are_refused_with_one_line(name: str) -> None:
-    names, positions, velocities, stamp, kind, reason = REFUSED[name]
+@pytest.mark.parametrize(
+    ("names", "velocities", "stamp", "kind", "reason"),
+    [
+        (
+            ["fr", "fl", "rr"],
+            [1.0] * 3,
+            2.0,
+            "joint missing",
+            "joint_states has no 'rl' (it has 'fr', 'fl', 'rr')",
+        ),
+        ([*FOUR, "rl"], [1.0] * 5, 2.0, "joint repeated", "names 'rl' 2 times"),
+        (FOUR, [1.0] * 3, 2.0, "wrong length", "4 names and 3 values of velocity"),
+        (FOUR, [1.0, 1.0, NAN, 1.0], 2.0, "not finite", "has nan as the velocity of 'rl'"),
+        (FOUR, [], 2.0, "no numbers", "has neither velocities nor positions"),
+        (FOUR, SPEEDS, 1.0, "stamp", "is stamped 1 s, not after the previous message"),
+        (FOUR, SPEEDS, NAN, "stamp", "stamped nan s"),
+        (FOUR, [1.0, 1.0, 1.0, -1001.0], 2.0, "too fast", "'rr' turns at -1001 rad/s"),
+    ],
+)
+def test_joint_messages_that_are_bad_are_refused_with_one_line(
+    names: list[str], velocities: list[float], stamp: float, kind: str, reason: str
+) -> None:
     reader = JointReader(FOUR)
     assert reader.read(FOUR, [], SPEEDS, 1.0) == SPEEDS
-    assert reader.read(names, positions, velocities, stamp) is None
+    assert reader.read(names, [], velocities, stamp) is None
     assert reader.refused == {kind: 1}
     assert reason in reader.reason
     assert reader.reason.isprintable()
-    assert len(reader.reason) < 200
     assert reader.read(FOUR, [], SPEEDS, 3.0) == SPEEDS
     assert reader.reason == ""
-
-
-NUMBERS = st.floats()
-TEXTS = st.sampled_from([*FOUR, "arm"])
-
-
-@given(
-    st.lists(
-        st.tuples(st.lists(TEXTS, max_size=6), st.lists(NUMBERS, max_size=6),
-                  st.lists(NUMBERS, max_size=6), NUMBERS)
-    )
-)  # fmt: skip
-def test_joint_reader_returns_four_speeds_that_wheels_make(
-    messages: list[tuple[list[str], list[float], list[float], float]],
-) -> None:
-    reader = JointReader(FOUR)
-    for names, positions, velocities, stamp in messages:
-        refused = reader.refused.total()
-        got = reader.read(names, positions, velocities, stamp)
-        if got is not None:
-            assert len(got) == 4
-            assert all(abs(speed) <= 1000.0 for speed in got)
-        if {*names} & {*FOUR}:
-            assert reader.refused.total() - refused == bool(reader.reason)

@@ -25,9 +25,6 @@ def test_lateness_counts_late_and_missed_ticks() -> None:
     assert (timing.ticks, timing.late_ticks, timing.missed_ticks) == (100, 2, 2)
     assert timing.late_share == 0.02
     assert (timing.p50, timing.p99, timing.worst) == (1e-4, 0.003, 0.025)
-
-
-def test_late_after_of_the_robot_file() -> None:
     config = CONFIG.with_(late_after=0.5)
     assert stopwatch_after(0.0049, 0.0051, config=config).summary().lateness.late_ticks == 1
 
@@ -49,10 +46,9 @@ START = [(1.0, True, False), (1.03, True, True), (1.04, False, True), (1.2, Fals
     [
         ([(1.0, False, False), (1.01, True, False), (1.05, True, True)], [0.048]),
         ([*START, (2.0, True, False), (2.05, True, True)], [0.038, 0.058]),
-        ([(1.0, True, False), (1.01, True, False)], []),
         ([(1.0, True, False), (1.01, False, False), (1.02, False, True)], []),
     ],
-    ids=["one start", "two starts", "dead", "called off"],
+    ids=["one start", "two starts", "called off"],
 )
 def test_round_trip_lasts_from_the_command_to_turning_wheels(
     commands: list[tuple[float, bool, bool]], trips: list[float]
@@ -69,11 +65,10 @@ def test_round_trip_lasts_from_the_command_to_turning_wheels(
     [
         ([], 9.0),
         ([(1.0, b"ap01.00\r\nap0"), (2.0, b"2.00\r"), (3.0, b"\n")], 1.0),
-        ([(1.0, b"ap01.00\r\n"), (2.0, b"ap02.00\r\n")], 2.0),
         ([(1.0, b".00\r\n"), (2.0, b"\n"), (2.5, b"ap"), (3.0, b"02.00\r\n")], 2.5),
         ([(1.0, b"ap01.00\r\n"), (2.0, b"ap02.00\r\nap"), (3.0, b"03")], 2.0),
     ],
-    ids=["unknown", "pieces", "newest", "after a remainder", "next too"],
+    ids=["unknown", "pieces", "after a remainder", "next too"],
 )
 def test_first_byte_is_that_of_the_newest_whole_line(
     arrivals: list[tuple[float, bytes]], stamp: float

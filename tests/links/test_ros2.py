@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from types import SimpleNamespace
 
 import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import Arrivals, Link
 from acsar_gym.links.factory import is_device
-from acsar_gym.links.ros2 import SLACK, Ros2Link, read_command
+from acsar_gym.links.ros2 import SLACK, Ros2Link
 from acsar_gym.protocol import ZERO
 from acsar_gym.ros.node import MissingRosError
 from acsar_gym.wire import Wire
@@ -50,19 +49,6 @@ def test_ros2_deadlines_come_to_lie_behind_the_feedback(begin: float) -> None:
         link._deadline += PERIOD
     phase = (link._deadline - ticks * PERIOD) % PERIOD
     assert phase == pytest.approx(SLACK, abs=1e-4)
-
-
-def test_ros2_commands_differ_by_stamp_and_numbers() -> None:
-    def make_twist(x: float) -> SimpleNamespace:
-        return SimpleNamespace(linear=SimpleNamespace(x=x), angular=SimpleNamespace(z=0.5))
-
-    def make_stamped(x: float, nanosec: int) -> SimpleNamespace:
-        stamp = SimpleNamespace(sec=1, nanosec=nanosec)
-        return SimpleNamespace(header=SimpleNamespace(stamp=stamp), twist=make_twist(x))
-
-    assert read_command(make_twist(1.0)) == read_command(make_twist(1.0))
-    assert read_command(make_stamped(1.0, 2)) != read_command(make_stamped(1.0, 3))
-    assert read_command(SimpleNamespace(data=[1.0, 2.0]))[-1] == (1.0, 2.0)
 
 
 class StampedLink(Link):

@@ -207,7 +207,7 @@ class Processes(contextlib.ExitStack):
             return node, file, partial(list_commands, board)
 
         config.with_(control_rate=50.0, ros2=joints).save(file)
-        node = self.run(FOREIGN, "--log", str(log), "--cmd-vel-timeout", "1000")
+        node = self.run(FOREIGN, str(log), '{"cmd_vel_timeout": 1000}')
         wait_until(log.exists, "a robot", START_TIMEOUT)
         return node, file, partial(read_commands, log)
 

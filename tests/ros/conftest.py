@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,10 +70,10 @@ def client(namespace: str, programs: list[Program], deadline: None) -> Iterator[
 def start_robot(
     namespace: str, programs: list[Program], client: Client, tmp_path: Path
 ) -> StartRobot:
-    """`start_robot("--delay", 0.1)`: foreign_robot.py in the test's namespace, found already."""
+    """`start_robot(delay=0.1)`: foreign_robot.py in the test's namespace, found already."""
 
-    def start(*options: object) -> ForeignRobot:
-        robot = ForeignRobot(("--namespace", namespace, *map(str, options)), tmp_path)
+    def start(**options: Any) -> ForeignRobot:
+        robot = ForeignRobot(tmp_path, namespace=namespace, **options)
         programs.append(robot)
         node = ("foreign_robot", namespace)
         client.wait(

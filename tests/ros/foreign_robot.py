@@ -1,23 +1,22 @@
-"""A ROS robot that isn't ours, as a process: a diff-drive controller, wheels, a LiDAR in a room.
+"""A ROS robot that isn't ours, as a process: `foreign_robot.py LOG OPTIONS`.
 
-It knows rclpy and numpy, and nothing of acsar_gym, so that both can't be wrong together. It takes
-commands as ros2_controllers do, has them take effect after a true dead time, turns its wheels, and
-publishes joint_states, odom, /tf, /tf_static and scan. Its true pose is integrated with the true
-multiplier of the wheel separation, and its odometry with that of the controller.
+It has a diff-drive controller, wheels, and a LiDAR in a room. It knows rclpy and numpy, and nothing
+of acsar_gym, so that both can't be wrong together. It takes commands as ros2_controllers do, has
+them take effect after a true dead time, turns its wheels, and publishes joint_states, odom, /tf,
+/tf_static and scan. Its true pose is integrated with the true multiplier of the wheel separation,
+and its odometry with that of the controller.
 
-`--log FILE` gets a JSON line for each command received and for each state of the wheels, with the
+The log gets a JSON line for each command received and for each state of the wheels, with the
 monotonic time, which all processes of a computer share:
 
     {"monotonic": 12.34, "command": [0.2, 0.0]}      # or wheel speeds, and a reason in "refused"
-    {"monotonic": 12.35, "speeds": [3.9, ...], "pose": [x, y, theta], "stamp": seconds}
+    {"monotonic": 12.35, "speeds": [3.9, ...], "pose": [x, y, theta]}
 
-Faults "after S" begin S seconds after the first command that moves it, or at once where S is 0.
-Names of topics are remapped as those of any node: `--ros-args -r joint_states:=wheels`.
+The options are a JSON object with some of the keys of `DEFAULTS`.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -25,6 +24,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -41,64 +41,55 @@ from std_msgs.msg import Float64MultiArray, Header
 from tf2_msgs.msg import TFMessage
 
 Array = npt.NDArray[np.float64]
-JOINTS = ["right_front=a", "left_front=b", "left_rear=c", "right_rear=d"]
+Pose = tuple[float, float, float]
 RADIUS = 0.05
 SEPARATION = 0.3
 SCAN_X = 0.1  # the LiDAR's place before the axle [m]
+SCAN_RAYS = 360
 CLOCK_RATE = 200.0  # of /clock, in its own seconds [Hz]
 STEP = 0.002  # longest step of the integration [s]
 JUMP = 5.0  # how far the clock jumps back [s]
-SIM_EPOCH = 100  # what /clock begins with [s]
+SIM_EPOCH = 100  # the first time of /clock [s]
 ROOM = (-2.0, -1.5, 4.0, 2.5)  # least x and y, largest x and y of the walls [m]
 COMMANDS = {"twist": Twist, "twist_stamped": TwistStamped, "wheel_speeds": Float64MultiArray}
-
-
-def options() -> tuple[argparse.Namespace, list[str]]:
-    """This program's options, and those of ROS."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add = parser.add_argument
-
-    add("--namespace", default="")
-    add("--joints", nargs="+", default=JOINTS, help="in the order of joint_states: NAME=WHEEL with "
-        "the wheel a, b, c, d, left or right; a NAME alone is a joint of an arm")  # fmt: skip
-    add("--command", choices=COMMANDS, default="twist_stamped")
-    add("--command-topic", default="cmd_vel")
-    add("--command-qos", choices=["reliable", "best_effort", "transient_local"], default="reliable")
-    add("--cmd-vel-timeout", type=float, default=0.5)
-    add("--delay", type=float, default=0.0, help="dead time between command and motor [s]")
-    add("--time-constant", type=float, default=0.05, help="of the wheels [s]")
-    add("--multiplier", type=float, default=1.0, help="the controller's, of the separation")
-    add("--true-multiplier", type=float, help="the world's; else that of the controller")
-    add("--rate", type=float, default=50.0, help="of joint_states and odom [Hz]")
-    add("--positions-only", action="store_true", help="joint_states have no velocities")
-    add("--wrap", type=float, help="span of the positions, such as 6.2832 [rad]")
-    add("--odom-only", action="store_true", help="no joint_states")
-    add("--qos", choices=["reliable", "best_effort"], default="reliable", help="of the sensors")
-    add("--frame", default="base_link")
-    add("--scan-rate", type=float, default=0.0, help="0: no LiDAR [Hz]")
-    add("--scan-rays", type=int, default=360)
-    add("--scan-yaw", type=float, default=0.0, help="how the LiDAR is turned [rad]")
-    add("--upside-down", action="store_true")
-    add("--mast", action="store_true", help="a frame more between base and LiDAR, turned, too")
-    add("--static", choices=["global", "namespaced", "none"], default="global", help="/tf_static")
-    add("--scan-time-increment", type=float, default=0.0, help="between two rays [s]")
-    add("--sim-time", type=float, help="publish /clock, so many times as fast as real time")
-    add("--clock-jump-after", type=float, metavar="S", help="the clock jumps back")
-    add("--nan-after", type=float, metavar="S", help="the first wheel's speed is NaN")
-    add("--missing-joint", metavar="NAME", help="isn't in joint_states")
-    add("--missing-after", type=float, default=0.0, metavar="S")
-    add("--drop-after", type=float, metavar="S", help="publishes nothing any more")
-    add("--log", default="/dev/null")
-    return parser.parse_known_args()
+DEFAULTS: dict[str, Any] = {
+    "namespace": "",
+    "remap": "",  # of a topic, as any node's
+    # Joints in the order of joint_states: NAME=WHEEL with the wheel a, b, c, d, left or right. A
+    # NAME alone is a joint of an arm.
+    "joints": ["right_front=a", "left_front=b", "left_rear=c", "right_rear=d"],
+    "command": "twist_stamped",
+    "command_topic": "cmd_vel",
+    "command_qos": "reliable",  # or best_effort, or transient_local
+    "cmd_vel_timeout": 0.5,
+    "delay": 0.0,  # dead time between command and motor [s]
+    "time_constant": 0.05,  # of the wheels [s]
+    "multiplier": 1.0,  # the controller's, of the separation
+    "true_multiplier": 0.0,  # the world's. 0: that of the controller
+    "rate": 50.0,  # of joint_states and odom [Hz]
+    "wrap": 0.0,  # span of the positions [rad]. There are no velocities then
+    "odom_only": False,  # no joint_states
+    "qos": "reliable",  # of the sensors, or best_effort
+    "frame": "base_link",
+    "scan_yaw": None,  # how the LiDAR is turned [rad]. None: no LiDAR
+    "mast": False,  # another frame between base and LiDAR, which is turned as well
+    "static": "global",  # /tf_static, or "namespaced", or "none"
+    "sim_time": 0.0,  # publishes /clock, as a multiple of real time
+    # Times of faults [s], from the first command that moves the robot. 0: at once.
+    "clock_jump_after": None,
+    "nan_after": None,  # the first wheel's speed is NaN
+    "missing_joint": "",
+    "missing_after": 0.0,
+    "drop_after": None,  # publishes nothing any more
+}
 
 
 class World:
     """Wheels that follow their targets, and the body that they carry."""
 
-    def __init__(self, config: argparse.Namespace) -> None:
+    def __init__(self, config: SimpleNamespace) -> None:
         wheels = [joint.split("=")[1] for joint in config.joints if "=" in joint]
         self.right = np.array([wheel in {"a", "d", "right"} for wheel in wheels])
-        self.radius = RADIUS
         self.time_constant = config.time_constant
         self.width = SEPARATION * (config.true_multiplier or config.multiplier)
         self.time = 0.0
@@ -108,17 +99,16 @@ class World:
         self.pose = (0.0, 0.0, 0.0)
         self.events: deque[tuple[float, Array]] = deque()
         """When the motors get which targets."""
-        self.past: deque[tuple[float, float, float, float]] = deque([(0.0, 0.0, 0.0, 0.0)], 1000)
 
     def body(self, speeds: Array, width: float) -> tuple[float, float]:
         """Linear and angular velocity, or way and angle, of wheels that don't slip."""
-        sides = [self.radius * float(speeds[side].mean()) for side in (self.right, ~self.right)]
+        sides = [RADIUS * float(speeds[side].mean()) for side in (self.right, ~self.right)]
         return sum(sides) / 2.0, (sides[0] - sides[1]) / width
 
     def wheels(self, linear: float, angular: float, width: float) -> Array:
         """Speeds of the wheels for a twist."""
         turn = np.where(self.right, 0.5, -0.5) * angular * width
-        return np.asarray((linear + turn) / self.radius)
+        return np.asarray((linear + turn) / RADIUS)
 
     def advance(self, until: float) -> None:
         """Integrate, event by event, in short steps."""
@@ -131,55 +121,56 @@ class World:
                 return
 
             # The lag is solved exactly, so that steps may be long.
-            decay = math.exp(-dt / self.time_constant) if self.time_constant else 0.0
+            decay = math.exp(-dt / self.time_constant)
             lag = self.speeds - self.targets
             turned = self.targets * dt + lag * self.time_constant * (1.0 - decay)
             self.speeds = self.targets + lag * decay
             self.angles = self.angles + turned
-            way, angle = self.body(turned, self.width)
-            self.pose = moved(self.pose, way, angle)
+            self.pose = moved(self.pose, *self.body(turned, self.width))
             self.time = end
-            self.past.append((end, *self.pose))
 
-    def scan(self, times: Array, angles: Array, mount_x: float) -> Array:
-        """Distance of the walls [m]: each ray at its time, its angle against the body."""
-        past_times, *past = np.array(self.past).T
-        x, y, theta = (np.interp(times, past_times, values) for values in past)
-        x = x + mount_x * np.cos(theta)
-        y = y + mount_x * np.sin(theta)
+    def scan(self, angles: Array) -> Array:
+        """Distance of the walls [m] at angles from the body."""
+        x, y, theta = self.pose
         cosine = np.cos(theta + angles)
         sine = np.sin(theta + angles)
         with np.errstate(divide="ignore"):
-            to_x = np.where(cosine > 0.0, ROOM[2] - x, ROOM[0] - x) / cosine
-            to_y = np.where(sine > 0.0, ROOM[3] - y, ROOM[1] - y) / sine
+            to_x = (
+                np.where(cosine > 0.0, ROOM[2], ROOM[0]) - x - SCAN_X * math.cos(theta)
+            ) / cosine
+            to_y = (np.where(sine > 0.0, ROOM[3], ROOM[1]) - y - SCAN_X * math.sin(theta)) / sine
         return np.asarray(np.minimum(np.abs(to_x), np.abs(to_y)))
 
 
-def moved(pose: tuple[float, float, float], way: float, angle: float) -> tuple[float, float, float]:
+def moved(pose: Pose, way: float, angle: float) -> Pose:
     """The pose after a short arc."""
     x, y, theta = pose
     middle = theta + angle / 2.0
     return x + way * math.cos(middle), y + way * math.sin(middle), theta + angle
 
 
-def quaternion(yaw: float, *, upside_down: bool = False) -> Quaternion:
-    """A turn by yaw, of what was turned by half a turn about x where it is upside down."""
-    cosine = math.cos(yaw / 2.0)
-    sine = math.sin(yaw / 2.0)
-    return Quaternion(x=cosine, y=sine, w=0.0) if upside_down else Quaternion(z=sine, w=cosine)
+def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
+    """A transform in the plane."""
+    x, y, yaw = pose
+    rotation = Quaternion(z=math.sin(yaw / 2.0), w=math.cos(yaw / 2.0))
+    placed = TransformStamped(header=header, child_frame_id=child)
+    placed.transform = Transform(rotation=rotation)
+    placed.transform.translation.x = x
+    placed.transform.translation.y = y
+    return placed
 
 
 class ForeignRobot:
     """The node: everything in one thread, at absolute deadlines."""
 
-    def __init__(self, config: argparse.Namespace) -> None:
+    def __init__(self, log: str, config: SimpleNamespace) -> None:
         self.config = config
         self.world = World(config)
         self.controller_width = SEPARATION * config.multiplier
         self.odometry = (0.0, 0.0, 0.0)
         self.odometry_angles = self.world.angles
         self.first_command = math.inf
-        self.log = open(config.log, "w", buffering=1)  # noqa: SIM115
+        self.log = open(log, "w", buffering=1)  # noqa: SIM115
         self.speed = config.sim_time or 1.0
         self.start = time.monotonic()
         self.epoch = SIM_EPOCH * 10**9 if config.sim_time else time.time_ns()
@@ -200,13 +191,13 @@ class ForeignRobot:
             self.clock = node.create_publisher(Clock, "/clock", best_effort)
             self.periods[self.publish_clock] = 1.0 / CLOCK_RATE
         self.periods[self.publish_state] = 1.0 / config.rate
-        if config.scan_rate:
+        if config.scan_yaw is not None:
             self.scan = node.create_publisher(LaserScan, "scan", sensors)
             static = "/tf_static" if config.static == "global" else "tf_static"
             self.tf_static = node.create_publisher(TFMessage, static, latched)
             if config.static != "none":
                 self.tf_static.publish(TFMessage(transforms=self.mount()))
-            self.periods[self.publish_scan] = 1.0 / config.scan_rate
+            self.periods[self.publish_scan] = 0.1
         qos = {"reliable": 10, "best_effort": best_effort, "transient_local": latched}
         node.create_subscription(
             COMMANDS[config.command], config.command_topic, self.receive, qos[config.command_qos]
@@ -220,10 +211,10 @@ class ForeignRobot:
         """Whether a fault is there."""
         return after is not None and (after == 0.0 or now - self.first_command >= after)
 
-    def stamp(self, now: float) -> int:
-        """What the header of a message says [ns]."""
+    def stamp(self, now: float) -> Time:
+        """The time of ROS in the header of a message."""
         jump = JUMP if self.begun(self.config.clock_jump_after, now) else 0.0
-        return self.epoch + round((now - jump) * 1e9)
+        return Time(nanoseconds=self.epoch + round((now - jump) * 1e9))
 
     def write(self, now: float, **values: Any) -> None:
         self.log.write(json.dumps({"monotonic": self.start + now / self.speed} | values) + "\n")
@@ -232,7 +223,7 @@ class ForeignRobot:
         """Check a command as ros2_controllers do, and have it take effect after the dead time."""
         now = self.now()
         world = self.world
-        refused = None
+        refusal = {}
         if self.config.command == "wheel_speeds":
             command = targets = np.array(message.data)
         else:
@@ -242,59 +233,52 @@ class ForeignRobot:
 
         if self.config.command == "twist_stamped":
             stamp = Time.from_msg(message.header.stamp).nanoseconds
-            age = (self.stamp(now) - stamp) * 1e-9
+            age = (self.stamp(now).nanoseconds - stamp) * 1e-9
             if stamp and abs(age) > self.config.cmd_vel_timeout:
-                refused = f"it is {age:.3f} s old"
-        if len(targets) != len(world.targets):
-            refused = f"{len(targets)} speeds for {len(world.targets)} wheels"
-        elif not np.isfinite(targets).all():
-            refused = "not finite"
-        self.write(now, command=command.tolist(), **({"refused": refused} if refused else {}))
-        if refused:
+                refusal = {"refused": f"it is {age:.3f} s old"}
+        if len(targets) != len(world.targets) or not np.isfinite(targets).all():
+            refusal = {"refused": f"speeds {targets}"}
+        self.write(now, command=command.tolist(), **refusal)
+        if refusal:
             return
 
         if any(command):
             self.first_command = min(self.first_command, now)
         # A command takes the place of the last one's time-out.
-        while world.events and world.events[-1][0] > now + self.config.delay:
+        start = now + self.config.delay
+        while world.events and world.events[-1][0] > start:
             world.events.pop()
-        world.events.append((now + self.config.delay, targets))
-        halt = now + self.config.delay + self.config.cmd_vel_timeout
-        world.events.append((halt, np.zeros(len(targets))))
+        world.events.append((start, targets))
+        world.events.append((start + self.config.cmd_vel_timeout, np.zeros(len(targets))))
 
     def publish_clock(self, now: float) -> None:
-        self.clock.publish(Clock(clock=Time(nanoseconds=self.stamp(now)).to_msg()))
+        self.clock.publish(Clock(clock=self.stamp(now).to_msg()))
 
     def publish_state(self, now: float) -> None:
         """joint_states, odom and its transform, and a line in the log."""
         config = self.config
         world = self.world
-        stamp = self.stamp(now)
         speeds = world.speeds.tolist()
-        self.write(now, speeds=speeds, pose=world.pose, stamp=stamp * 1e-9)
-        way, angle = world.body(world.angles - self.odometry_angles, self.controller_width)
-        self.odometry = moved(self.odometry, way, angle)
+        self.write(now, speeds=speeds, pose=world.pose)
+        step = world.body(world.angles - self.odometry_angles, self.controller_width)
+        self.odometry = moved(self.odometry, *step)
         self.odometry_angles = world.angles
         if self.begun(config.drop_after, now):
             return
         if self.begun(config.nan_after, now):
             speeds[0] = math.nan
 
-        header = Header(stamp=Time(nanoseconds=stamp).to_msg(), frame_id="odom")
+        header = Header(stamp=self.stamp(now).to_msg(), frame_id="odom")
+        placed = transform(header, config.frame, self.odometry)
         odom = Odometry(header=header, child_frame_id=config.frame)
-        x, y, theta = self.odometry
-        odom.pose.pose.position.x = x
-        odom.pose.pose.position.y = y
-        odom.pose.pose.orientation = quaternion(theta)
+        odom.pose.pose.position.x = placed.transform.translation.x
+        odom.pose.pose.position.y = placed.transform.translation.y
+        odom.pose.pose.orientation = placed.transform.rotation
         linear, angular = world.body(np.array(speeds), self.controller_width)
         odom.twist.twist.linear.x = linear
         odom.twist.twist.angular.z = angular
         self.odom.publish(odom)
-        transform = TransformStamped(header=header, child_frame_id=config.frame)
-        transform.transform.translation.x = x
-        transform.transform.translation.y = y
-        transform.transform.rotation = odom.pose.pose.orientation
-        self.tf.publish(TFMessage(transforms=[transform]))
+        self.tf.publish(TFMessage(transforms=[placed]))
         if self.joint_states is None:
             return
 
@@ -308,53 +292,35 @@ class ForeignRobot:
             states.name.append(name)
             if config.wrap:
                 position = (position + config.wrap / 2.0) % config.wrap - config.wrap / 2.0
-            states.position.append(position)
-            if not config.positions_only:
+            else:
                 states.velocity.append(velocity)
+            states.position.append(position)
         self.joint_states.publish(states)
 
     def publish_scan(self, now: float) -> None:
-        """The revolution that ends now."""
-        config = self.config
-        count = config.scan_rays
-        if self.begun(config.drop_after, now):
-            return
-        increment = 2.0 * math.pi / max(count, 1)
-        angles = -math.pi + increment * np.arange(count)
-        start = now - config.scan_time_increment * max(count - 1, 0)
-        times = start + config.scan_time_increment * np.arange(count)
-        towards = config.scan_yaw + (-angles if config.upside_down else angles)
-        ranges = self.world.scan(times, towards, SCAN_X)
-
-        scan = LaserScan(angle_min=-math.pi, angle_increment=increment)
-        scan.header.stamp = Time(nanoseconds=self.stamp(start)).to_msg()
+        """All rays of a revolution at once."""
+        increment = 2.0 * math.pi / SCAN_RAYS
+        angles = -math.pi + increment * np.arange(SCAN_RAYS)
+        scan = LaserScan(angle_min=-math.pi, angle_increment=increment, scan_time=0.1)
+        scan.header.stamp = self.stamp(now).to_msg()
         scan.header.frame_id = "laser"
-        scan.angle_max = scan.angle_min + increment * max(count - 1, 0)
-        scan.time_increment = config.scan_time_increment
-        scan.scan_time = 1.0 / config.scan_rate
+        scan.angle_max = -scan.angle_min - increment
         scan.range_min = 0.05
         scan.range_max = 12.0
-        scan.ranges = ranges.tolist()
+        scan.ranges = self.world.scan(self.config.scan_yaw + angles).tolist()
         self.scan.publish(scan)
 
     def mount(self) -> list[TransformStamped]:
-        """From the base to the LiDAR, over a mast where there is one."""
-        config = self.config
-        hops = [(config.frame, "laser", SCAN_X, config.scan_yaw, config.upside_down)]
-        if config.mast:
-            hops = [(config.frame, "mast", SCAN_X, 1.5, False)]
-            hops += [("mast", "laser", 0.0, config.scan_yaw - 1.5, config.upside_down)]
-
-        transforms = []
-        for parent, child, x, yaw, upside_down in hops:
-            place = Transform(rotation=quaternion(yaw, upside_down=upside_down))
-            place.translation.x = x
-            place.translation.z = 0.1
-            header = Header(frame_id=parent)
-            transforms.append(
-                TransformStamped(header=header, child_frame_id=child, transform=place)
-            )
-        return transforms
+        """From the base to the LiDAR, over a mast if there is one."""
+        base = Header(frame_id=self.config.frame)
+        yaw = self.config.scan_yaw
+        if not self.config.mast:
+            return [transform(base, "laser", (SCAN_X, 0.0, yaw))]
+        mast = Header(frame_id="mast")
+        return [
+            transform(base, "mast", (SCAN_X, 0.0, 1.5)),
+            transform(mast, "laser", (0.0, 0.0, yaw - 1.5)),
+        ]
 
     def run(self) -> None:
         """Publish at absolute deadlines, the clock first, and receive commands in between."""
@@ -372,10 +338,11 @@ class ForeignRobot:
 
 def main() -> None:
     """Run until a signal ends it."""
-    config, of_ros = options()
-    rclpy.init(args=[sys.argv[0], *of_ros])
+    log, options = sys.argv[1:]
+    config = SimpleNamespace(**DEFAULTS | json.loads(options))
+    rclpy.init(args=["--ros-args", "-r", config.remap] if config.remap else None)
     with suppress(ExternalShutdownException, KeyboardInterrupt):
-        ForeignRobot(config).run()
+        ForeignRobot(log, config).run()
 
 
 if __name__ == "__main__":

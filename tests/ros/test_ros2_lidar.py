@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from ros_tools import StartRobot
@@ -13,7 +15,6 @@ from acsar_gym.lidar.scan import Revolution
 from acsar_gym.worlds import Scene
 
 YAW = 1.6
-SCANS = ("--scan-rate", 10, "--scan-yaw", YAW)
 WALLS = (-2.0, -1.5, 4.0, 2.5)
 """Least x and y, and largest x and y, of the robot's room [m]."""
 CONFIG = RobotConfig(
@@ -46,37 +47,21 @@ def shows_the_room(revolution: Revolution) -> bool:
     return bool(len(gaps) == 360 and gaps.max() < 0.01)
 
 
-@pytest.mark.parametrize("static", ["global", "namespaced"])
-def test_scan_uses_the_transform_of_its_frame(
-    static: str, start_robot: StartRobot, namespace: str
-) -> None:
-    start_robot(*SCANS, "--static", static, "--scan-time-increment", 0.0002)
-    assert shows_the_room(measure(namespace, CONFIG.with_(lidar_yaw=0.3)))
-
-
-@pytest.mark.parametrize("flags", [("--static", "none"), ("--mast",)], ids=["none", "mast"])
-def test_scan_uses_the_robots_file_without_a_transform(
-    flags: tuple[str, ...], start_robot: StartRobot, namespace: str
-) -> None:
-    start_robot(*SCANS, *flags)
-    assert shows_the_room(measure(namespace, CONFIG.with_(lidar_yaw=YAW)))
-
-
 @pytest.mark.parametrize(
-    ("flags", "message"),
-    [
-        (("--static", "none"), "no transform from 'base_link' to its frame 'laser' .*lidar_yaw"),
-        (("--mast",), r"no transform .*has mast -> laser\): write .* lidar_yaw"),
-        (("--upside-down",), "its frame is tilted by 180.0 degrees"),
-        (("--scan-time-increment", "0.1"), "time_increment = 0.1: 360 rays would take 35.9 s"),
-        (("--scan-rays", "0"), "has no ranges"),
-    ],
-    ids=["no transform", "mast", "upside down", "slow rays", "no rays"],
+    ("options", "yaw"),
+    [({}, 0.3), ({"static": "namespaced"}, 0.3), ({"static": "none"}, YAW), ({"mast": True}, YAW)],
+    ids=["transform", "namespaced", "none", "mast"],
 )
-def test_scan_refuses_an_unknown_pose_and_bad_rays(
-    flags: tuple[str, ...], message: str, start_robot: StartRobot, namespace: str
+def test_scan_uses_the_transform_of_its_frame_or_the_robots_file(
+    options: dict[str, Any], yaw: float, start_robot: StartRobot, namespace: str
 ) -> None:
-    start_robot(*SCANS, *flags)
+    start_robot(scan_yaw=YAW, **options)
+    assert shows_the_room(measure(namespace, CONFIG.with_(lidar_yaw=yaw)))
+
+
+def test_scan_refuses_an_unknown_pose(start_robot: StartRobot, namespace: str) -> None:
+    start_robot(scan_yaw=YAW, mast=True)
+    message = r"no transform from 'base_link' to its frame 'laser' .*mast -> laser\): .* lidar_yaw"
     with pytest.raises(LidarError, match=message) as caught:
         measure(namespace, CONFIG)
     assert str(caught.value).isprintable()

@@ -6,7 +6,6 @@ import math
 import signal
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import pytest
@@ -17,49 +16,56 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardSilentError, LinkError
 
 WHEELS = ("right_front", "left_front", "left_rear", "right_rear")
-JOINTS: dict[str, object] = {"joints": list(WHEELS)}
-TWO: dict[str, object] = {"joints": {"left": "l", "right": "r"}}
-TWO_WHEELS = ("--joints", "l=left", "r=right")
-SHUFFLED = ("--joints", "arm", "rl=c", "fr=a", "rr=d", "gripper", "fl=b")
+JOINTS: dict[str, Any] = {"joints": list(WHEELS)}
+TWO: dict[str, Any] = {"joints": {"left": "l", "right": "r"}}
+TWO_WHEELS: dict[str, Any] = {"joints": ["l=left", "r=right"]}
 CONTROL_RATE = 50.0
 
 
 class Variant(NamedTuple):
     """A robot of another maker, and its file."""
 
-    options: tuple[object, ...] = ()
-    ros2: dict[str, object] = JOINTS
-    changes: Mapping[str, object] = MappingProxyType({})
+    options: Mapping[str, Any] = {}
+    ros2: Mapping[str, Any] = JOINTS
+    changes: Mapping[str, Any] = {}
 
 
+PLAIN = Variant()
 VARIANTS = {
-    "plain": Variant(),
-    "two wheels": Variant((*TWO_WHEELS, "--command", "twist"), TWO),
+    "two wheels": Variant(TWO_WHEELS | {"command": "twist"}, TWO),
     "wheel speeds": Variant(
-        ("--command", "wheel_speeds", *SHUFFLED),
+        {"command": "wheel_speeds", "joints": ["arm", "rl=c", "fr=a", "rr=d", "gripper", "fl=b"]},
         {"joints": ["fr", "fl", "rl", "rr"], "command_joints": ["rl", "fr", "rr", "fl"]},
     ),
     "speeds of two wheels": Variant(
-        ("--command", "wheel_speeds", *TWO_WHEELS), TWO | {"command_joints": ["l", "r"]}
+        TWO_WHEELS | {"command": "wheel_speeds"}, TWO | {"command_joints": ["l", "r"]}
     ),
-    "positions that wrap": Variant(("--positions-only", "--wrap", 2.0 * math.pi)),
-    "odom": Variant(("--odom-only", "--multiplier", 1.4), {}, {"connect_timeout": 3.0}),
-    "best effort": Variant(("--qos", "best_effort", "--command-qos", "best_effort")),
+    "positions that wrap": Variant({"wrap": 2.0 * math.pi}),
+    "odom": Variant(
+        {"odom_only": True, "multiplier": 1.4},
+        {},
+        {"connect_timeout": 3.0, "wheel_separation_multiplier": 1.4},
+    ),
     "other topics": Variant(
-        ("--command-topic", "base/cmd_vel", "--ros-args", "-r", "joint_states:=base/joints"),
+        {
+            "command_topic": "base/cmd_vel",
+            "remap": "joint_states:=base/joints",
+            "qos": "best_effort",
+            "command_qos": "best_effort",
+        },
         JOINTS | {"command_topic": "base/cmd_vel", "joint_states_topic": "base/joints"},
     ),
-    "simulated time": Variant(("--sim-time", 2.0), changes={"feedback_timeout": 2.0}),
-    "slow and late": Variant(("--delay", 0.12, "--rate", 25.0)),
+    "simulated time": Variant({"sim_time": 2.0}, changes={"feedback_timeout": 2.0}),
+    "slow and late": Variant({"delay": 0.12, "rate": 25.0}),
 }
 
 
-def make_config(variant: Variant, **changes: object) -> RobotConfig:
+def make_config(variant: Variant, **changes: Any) -> RobotConfig:
     """The file of a robot with the foreign one's wheels."""
     fields: dict[str, Any] = {
         "wheel_radius": 0.05,
         "wheel_separation": 0.3,
-        "wheel_separation_multiplier": 1.4 if 1.4 in variant.options else 1.0,
+        "wheel_separation_multiplier": 1.0,
         "control_rate": CONTROL_RATE,
         "connect_timeout": 20.0,
         "watchdog_timeout": 2.0,
@@ -68,7 +74,7 @@ def make_config(variant: Variant, **changes: object) -> RobotConfig:
     return RobotConfig.preset("acsar").with_(**fields | {**variant.changes} | changes)
 
 
-def open_robot(namespace: str, variant: Variant = VARIANTS["plain"], **changes: object) -> Robot:
+def open_robot(namespace: str, variant: Variant = PLAIN, **changes: Any) -> Robot:
     config = make_config(variant, **changes)
     return Robot(open_link(f"ros2:{namespace}", config), config)
 
@@ -100,7 +106,7 @@ def test_link_drives_every_robot_with_true_odometry(
     name: str, namespace: str, start_robot: StartRobot, client: Client
 ) -> None:
     variant = VARIANTS[name]
-    foreign = start_robot(*variant.options)
+    foreign = start_robot(**variant.options)
     with open_robot(namespace, variant) as robot:
         drive(robot, 0.2, 0.6, 1.0)
         drive(robot, 0.0, 0.0, 1.0)
@@ -120,7 +126,7 @@ def test_link_drives_only_the_robot_of_its_namespace(
     namespace: str, start_robot: StartRobot, client: Client
 ) -> None:
     foreign = start_robot()
-    neighbour = ForeignRobot(("--namespace", "/other"), foreign.log.parent)
+    neighbour = ForeignRobot(foreign.log.parent, namespace="/other")
     client.programs.append(neighbour)
     client.wait(lambda: bool(neighbour.states), "the other robot")
     with open_robot(namespace) as robot:
@@ -129,25 +135,30 @@ def test_link_drives_only_the_robot_of_its_namespace(
     assert not neighbour.commands
 
 
-FAULTS = {
-    "a wheel's speed is NaN": (("--nan-after", 0.5), BoardSilentError, "right_front"),
-    "a joint goes missing": (
-        ("--missing-joint", "left_rear", "--missing-after", 0.5),
-        BoardSilentError,
-        "left_rear",
-    ),
-    "silence": (("--drop-after", 0.5), BoardSilentError, "no message"),
-    "stamps jump back": (("--clock-jump-after", 0.5), BoardSilentError, "behind"),
-    "the clock jumps": (("--clock-jump-after", 0.5, "--sim-time", 1.0), LinkError, "/clock"),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    ("options", "kind", "reason"),
+    [
+        ({"nan_after": 0.5}, BoardSilentError, "right_front"),
+        (
+            {"missing_joint": "left_rear", "missing_after": 0.5},
+            BoardSilentError,
+            "left_rear",
+        ),
+        ({"drop_after": 0.5}, BoardSilentError, "no message"),
+        ({"clock_jump_after": 0.5}, BoardSilentError, "behind"),
+        ({"clock_jump_after": 0.5, "sim_time": 1.0}, LinkError, "/clock"),
+    ],
+    ids=["nan", "missing joint", "silence", "stamps jump back", "the clock jumps back"],
+)
 def test_link_stops_the_robot_after_a_fault(
-    fault: str, namespace: str, start_robot: StartRobot, client: Client
+    options: dict[str, Any],
+    kind: type[LinkError],
+    reason: str,
+    namespace: str,
+    start_robot: StartRobot,
+    client: Client,
 ) -> None:
-    options, kind, reason = FAULTS[fault]
-    foreign = start_robot("--cmd-vel-timeout", 5.0, *options)
+    foreign = start_robot(cmd_vel_timeout=5.0, **options)
     robot = open_robot(namespace)
     with pytest.raises(kind, match=reason) as raised, robot:
         drive(robot, 0.2, 0.3, 5.0)
@@ -158,12 +169,12 @@ def test_link_stops_the_robot_after_a_fault(
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"), [((), "no message for"), (("--sim-time", 1.0), "/clock stands still")]
+    ("sim_time", "reason"), [(0.0, "no message for"), (1.0, "/clock stands still")]
 )
 def test_link_reports_a_robot_that_ends(
-    options: tuple[object, ...], reason: str, namespace: str, start_robot: StartRobot
+    sim_time: float, reason: str, namespace: str, start_robot: StartRobot
 ) -> None:
-    foreign = start_robot(*options)
+    foreign = start_robot(sim_time=sim_time)
     with pytest.raises(LinkError, match=reason) as raised, open_robot(namespace) as robot:
         drive(robot, 0.1, 0.0, 0.2)
         foreign.kill()
@@ -172,29 +183,30 @@ def test_link_reports_a_robot_that_ends(
 
 
 @pytest.mark.parametrize(
-    ("options", "reason"),
+    ("options", "ros2", "reason"),
     [
-        (("--missing-joint", "left_rear"), "left_rear"),
-        (("--command-qos", "transient_local"), "incompatible QoS"),
-        (("--command-topic", "drive"), "no node subscribes .*drive"),
-        (("--odom-only", "--frame", "base_footprint"), "base_footprint"),
-        (("--ros-args", "-r", "joint_states:=wheels"), "no node publishes .*wheels"),
+        ({"missing_joint": "left_rear"}, JOINTS, "left_rear"),
+        ({"command_qos": "transient_local"}, JOINTS, "incompatible QoS"),
+        ({"command_topic": "drive"}, JOINTS, "no node subscribes .*drive"),
+        ({"odom_only": True, "frame": "base_footprint"}, JOINTS, "base_footprint"),
+        (
+            {"remap": "joint_states:=wheels"},
+            JOINTS | {"feedback": "joint_states"},
+            "no node publishes .*wheels",
+        ),
     ],
 )
 def test_link_refuses_what_it_cannot_use(
-    options: tuple[object, ...],
+    options: dict[str, Any],
+    ros2: dict[str, Any],
     reason: str,
     namespace: str,
     start_robot: StartRobot,
     client: Client,
 ) -> None:
-    foreign = start_robot(*options)
-    changes: dict[str, Any] = {}
-    if "joint_states:=wheels" in options:
-        changes = {"ros2": {"feedback": "joint_states"}}
-
+    foreign = start_robot(**options)
     with pytest.raises(LinkError, match=reason) as raised:
-        open_robot(namespace, connect_timeout=2.0, **changes).activate()
+        open_robot(namespace, Variant(ros2=ros2), connect_timeout=2.0).activate()
     assert is_one_line(raised.value)
     client.spin(0.1)
     assert not turned(foreign)
@@ -216,12 +228,17 @@ while True:
 """
 
 
-def test_link_refuses_a_second_publisher_of_the_wheels(
+def test_link_refuses_a_second_publisher_of_the_wheels_only(
     namespace: str, start_robot: StartRobot, start_program: StartProgram, client: Client
 ) -> None:
     foreign = start_robot()
+    start_program("-c", JOINT_STATE_PUBLISHER, namespace, "shoulder", "elbow")
+    topic = f"{namespace}/joint_states"
+    client.wait(lambda: client.node.count_publishers(topic) == 2, "the arm")
     robot = open_robot(namespace)
+
     with robot:
+        drive_ahead(robot)
         start_program("-c", JOINT_STATE_PUBLISHER, namespace, *WHEELS)
         with pytest.raises(LinkError, match="two nodes publish the wheels") as raised:
             drive(robot, 0.1, 0.0, 30.0)
@@ -230,17 +247,6 @@ def test_link_refuses_a_second_publisher_of_the_wheels(
     client.wait(foreign.stands, "standing wheels")
     with pytest.raises(LinkError, match="two nodes publish the wheels"):
         robot.activate()
-
-
-def test_link_accepts_a_publisher_of_other_joints(
-    namespace: str, start_robot: StartRobot, start_program: StartProgram, client: Client
-) -> None:
-    start_robot()
-    start_program("-c", JOINT_STATE_PUBLISHER, namespace, "shoulder", "elbow")
-    topic = f"{namespace}/joint_states"
-    client.wait(lambda: client.node.count_publishers(topic) == 2, "the arm")
-    with open_robot(namespace) as robot:
-        drive_ahead(robot)
 
 
 def test_link_publishes_nothing_to_a_robot_that_is_driven(
@@ -268,7 +274,7 @@ def test_link_publishes_nothing_to_a_robot_that_is_driven(
 def test_link_stops_if_another_node_commands(
     namespace: str, start_robot: StartRobot, client: Client
 ) -> None:
-    foreign = start_robot("--cmd-vel-timeout", 0.5)
+    foreign = start_robot()
     robot = open_robot(namespace)
     robot.activate()
     publisher = client.publisher(TwistStamped, "cmd_vel")
@@ -282,7 +288,6 @@ def test_link_stops_if_another_node_commands(
     assert not any(foreign.commands[-1]["command"])
 
 
-ENDS = (signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM, signal.SIGINT)
 DRIVER = """
 import sys
 from acsar_gym import Robot, RobotConfig, open_link
@@ -294,16 +299,9 @@ with Robot(open_link(sys.argv[1], config), config) as robot:
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "number"),
-    [
-        *(("plain", number) for number in ENDS),
-        *((name, signal.SIGKILL) for name in ("speeds of two wheels", "simulated time")),
-    ],
-)
-def test_wheels_are_at_rest_soon_after_the_program_ends(
+@pytest.mark.parametrize("name", ["speeds of two wheels", "simulated time"])
+def test_wheels_are_at_rest_soon_after_the_program_is_killed(
     name: str,
-    number: signal.Signals,
     namespace: str,
     start_robot: StartRobot,
     start_program: StartProgram,
@@ -311,14 +309,14 @@ def test_wheels_are_at_rest_soon_after_the_program_ends(
     tmp_path: Path,
 ) -> None:
     variant = VARIANTS[name]
-    foreign = start_robot("--cmd-vel-timeout", 20.0, *variant.options)
+    foreign = start_robot(cmd_vel_timeout=20.0, **variant.options)
     file = tmp_path / "robot.yaml"
     make_config(variant, watchdog_timeout=0.15).save(file)
 
     program = start_program("-c", DRIVER, f"ros2:{namespace}", file)
     client.wait(lambda: turned(foreign), "turning wheels")
     client.spin(0.3)
-    program.send(number)
+    program.send(signal.SIGKILL)
     client.wait(foreign.stands, "standing wheels")  # the robot's own time-out is 20 s
     assert not [command for command in foreign.commands if "refused" in command]
 

@@ -93,7 +93,7 @@ def test_watchdog_stops_only_its_own_robot(
     for name in ("one", "other"):
         folder = tmp_path / name
         folder.mkdir()
-        robot = ForeignRobot(("--namespace", f"/{name}"), folder)
+        robot = ForeignRobot(folder, namespace=f"/{name}")
         client.programs.append(robot)
         robots.append(robot)
         file = folder / "robot.yaml"

@@ -15,7 +15,7 @@ from ros_tools import ForeignRobot, StartProgram, StartRobot
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import WheelError
 
-JOINTS = ("arm", "rr=d", "fl=b", "fr=a", "rl=c")
+JOINTS = ["arm", "rr=d", "fl=b", "fr=a", "rl=c"]
 FOX: dict[str, Any] = {
     "name": "fox",
     "wheel_radius": 0.05,
@@ -70,10 +70,7 @@ def list_rests(robot: ForeignRobot) -> list[Sequence[float]]:
 def test_identify_finds_a_controllers_delay(
     start_robot: StartRobot, start_program: StartProgram, namespace: str, tmp_path: Path
 ) -> None:
-    start_robot(
-        *("--joints", *JOINTS, "--delay", 0.09, "--time-constant", 0.13),
-        *("--multiplier", 1.3, "--cmd-vel-timeout", 0.4),
-    )
+    start_robot(joints=JOINTS, delay=0.09, time_constant=0.13, multiplier=1.3, cmd_vel_timeout=0.4)
     robot_file = save(tmp_path, wheel_separation=0.39)
     out = tmp_path / "found.yaml"
     findings = tmp_path / "found.json"
@@ -107,9 +104,7 @@ def test_identify_finds_a_controllers_delay(
 def test_calibrate_finds_radius_and_multiplier(
     start_robot: StartRobot, start_program: StartProgram, namespace: str, tmp_path: Path
 ) -> None:
-    robot = start_robot(
-        *("--joints", *JOINTS, "--delay", 0.05, "--multiplier", 1.2, "--true-multiplier", 1.5)
-    )
+    robot = start_robot(joints=JOINTS, delay=0.05, multiplier=1.2, true_multiplier=1.5)
     log = tmp_path / "runs.mcap"
     out = tmp_path / "found.yaml"
     robot_file = save(tmp_path, wheel_separation=0.36)
@@ -138,23 +133,22 @@ def drive_to_and_fro(url: str, config: RobotConfig) -> None:
 
 
 def test_wheel_check_accepts_a_late_controller(start_robot: StartRobot, namespace: str) -> None:
-    lags = ("--delay", 0.2, "--time-constant", 0.25)
-    start_robot("--joints", *JOINTS, *lags, "--multiplier", 1.5)
+    start_robot(joints=JOINTS, delay=0.2, time_constant=0.25, multiplier=1.5)
     drive_to_and_fro(f"ros2:{namespace}", RobotConfig(**FOX))
 
 
 @pytest.mark.parametrize(
     ("joints", "message"),
     [
-        (("rr=d", "fl=b", "fr=a", "rl"), "rear_left stands still"),
-        (("rr=c", "fl=b", "fr=a", "rl=d"), "rear_(left|right)"),
+        (["rr=d", "fl=b", "fr=a", "rl"], "rear_left stands still"),
+        (["rr=c", "fl=b", "fr=a", "rl=d"], "rear_(left|right)"),
     ],
     ids=["dead", "swapped"],
 )
 def test_wheel_check_names_wheels_that_dont_follow(
-    joints: tuple[str, ...], message: str, start_robot: StartRobot, namespace: str
+    joints: list[str], message: str, start_robot: StartRobot, namespace: str
 ) -> None:
-    start_robot("--joints", *joints, "--delay", 0.1)
+    start_robot(joints=joints, delay=0.1)
     with pytest.raises(WheelError, match=message) as raised:
         drive_to_and_fro(f"ros2:{namespace}", RobotConfig(**FOX))
     assert "check ros2.joints" in str(raised.value)
@@ -163,7 +157,7 @@ def test_wheel_check_names_wheels_that_dont_follow(
 def test_doctor_reports_a_robot_in_ros(
     start_robot: StartRobot, start_program: StartProgram, namespace: str, tmp_path: Path
 ) -> None:
-    start_robot("--joints", *JOINTS, "--rate", 20.0)
+    start_robot(joints=JOINTS, rate=20.0)
     path = tmp_path / "checks.json"
     command = ("doctor", f"ros2:{namespace}", "--robot", save(tmp_path), "--json", path)
     run(start_program, command)

@@ -62,6 +62,7 @@ class LdrobotDriver(LibraryDriver):
         gap = previous is not None and (
             abs(wrap_degrees(angles[0] - previous - span / (POINTS - 1))) > span / 2.0
         )
+        # The first packet after a gap can't show whether its first angle starts a turn.
         if previous is None or gap:
             previous = angles[0]
         start = find_start(previous, angles)

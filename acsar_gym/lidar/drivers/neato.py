@@ -45,6 +45,7 @@ class NeatoDriver(LibraryDriver):
         index = data[1] - FIRST_INDEX
         if not (0 <= index < PACKETS and self._library.valid_packet(data)):
             return None
+        # The head's speed gives the duration, as measurements are a degree apart.
         speed, points = self._library.parse_packet(data, self.clockwise)
         gap = self._index not in (None, (index - 1) % PACKETS)
         self._index = index

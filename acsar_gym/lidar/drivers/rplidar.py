@@ -89,12 +89,14 @@ class RplidarDriver(Driver):
 
         A device that still measures for a crashed process is stopped first.
         """
+        # A device doesn't understand requests at another rate.
         self._heard = 0
         for baud_rate in self._baud_rates * BAUD_TRIES:
             port.set_baud_rate(baud_rate)
             port.write(self._library.build_stop_command())
             time.sleep(STOP_DELAY)
             port.drop_input()
+            # On the maker's adapter, DTR stops the motor of an A1.
             port.set_dtr(on=False)
             self._set_motor(port, self.motor_speed)
             if self._ask(port, GET_INFO, INFO_DESCRIPTOR):
@@ -146,6 +148,7 @@ class RplidarDriver(Driver):
             data = port.read()
             self._heard += len(data)
             answer += data
+            # Measurements of an old scan may precede the answer.
             payload = answer.partition(descriptor)[2]
             if len(payload) >= size:
                 return payload[:size]

@@ -93,6 +93,7 @@ class Emulator:
         self.plugged = True
         self.lost = 0.0
 
+        # What is open is closed again if something else can't be opened.
         with contextlib.ExitStack() as opened:
             self._link = open_link(body, config)
             opened.callback(self._link.close)
@@ -107,7 +108,8 @@ class Emulator:
             self._lidar: LidarEmulator | None = None
             if sees:
                 twin = RplidarTwin(self._look, rate=config.lidar.rate, samples=LIDAR_SAMPLES)
-                self._lidar = opened.enter_context(LidarEmulator(twin))
+                self._lidar = LidarEmulator(twin)
+                opened.callback(self._lidar.close)
             self.lidar_device = self._lidar.device if self._lidar else None
             self._log = None
             if log is not None:
@@ -143,6 +145,7 @@ class Emulator:
         # The robot moves during a loop, and the LiDAR measures meanwhile.
         x0, y0, theta0 = self._last_pose
         x, y, theta = self._pose
+        # Shares of the loop, from its end backward.
         back = np.minimum(ages / self._period, 1.0)
         headings = theta - back * math.remainder(theta - theta0, 2.0 * math.pi)
         cos = np.cos(headings)
@@ -172,6 +175,7 @@ class Emulator:
 
         while not until() and (duration is None or deadline - start < duration):
             deadline += self._period
+            # The emulator catches up with short delays, so that time isn't lost.
             remaining = deadline - time.monotonic()
             if remaining < -LONGEST_CATCH_UP:
                 deadline -= remaining
@@ -205,6 +209,7 @@ class Emulator:
         if self._lidar is not None:
             self._lidar.serve_once(self._period)
 
+        # The truth, which no client can read from the wire.
         event: dict[str, object] = {"pose": self._pose}
         if self._crowd is not None and self._crowd.hit != NO_HIT:
             event["hit"] = self._crowd.hit
@@ -266,6 +271,7 @@ def run_emulator(*arguments: str) -> Iterator[EmulatedDevices]:
     Raises:
         LinkError: The emulator didn't start.
     """
+    # A session of its own, so that Ctrl-C doesn't reach it.
     command = [sys.executable, "-c", EMULATOR_PROGRAM, "emulate", *arguments]
     pipe = subprocess.PIPE
 

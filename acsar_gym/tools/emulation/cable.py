@@ -40,6 +40,7 @@ class EmulatedCable:
 
     def __init__(self, baud_rate: int, name: Path | None = None) -> None:
         self.device = ""
+        # Rates without a name can't be set on a new terminal, but clients can set them.
         code = getattr(termios, f"B{baud_rate}", None)
         self._rates = (termios.B50, UNNAMED_RATE) if code is None else (code,)
         """Codes of the board's rate. The first is that of a new terminal."""
@@ -56,6 +57,7 @@ class EmulatedCable:
         """
         if self._descriptors:
             return
+        # The other end stays open here, or the terminal would end with each client.
         self._master, self._slave = self._descriptors = pty.openpty()
         tty.setraw(self._slave)
         attributes = termios.tcgetattr(self._slave)
@@ -110,6 +112,7 @@ def _check_name(name: Path) -> None:
         if name.exists():
             raise ConfigError(f"{name}: exists and isn't a symbolic link: name another")
         return
+    # A link of an emulator that was killed remains, and is replaced.
     device = name.readlink()
     if not str(device).startswith(DEVICE_PREFIXES):
         raise ConfigError(f"{name}: is a symbolic link to {device}: name another")

@@ -6,11 +6,10 @@ The RPLIDAR follows SLAMTEC's "Interface Protocol and Application Notes" for the
 from __future__ import annotations
 
 import functools
-import math
 import operator
 import struct
 from collections.abc import Callable
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +20,8 @@ Floats = NDArray[np.float64]
 Look = Callable[[Floats, Floats], Floats]
 """Ranges [m] at bearings (N,) [rad] in the sensor's frame, counter-clockwise. The second argument
 is the time (N,) from each measurement to the end of the period [s]."""
-WOBBLE_TURNS = 10.0
-"""Turns in which a wobbling head gets faster and slower once."""
+MAX_RANGE = 12.0
+"""Larger ranges, inf and NaN are failed measurements [m]."""
 SYNC = 0xA5
 HAS_PAYLOAD = 0x80
 SCAN = 0x20
@@ -43,48 +42,31 @@ NODE_TYPE = np.dtype([("head", "u1"), ("angle", "<u2"), ("distance", "<u2")])
 class LidarTwin:
     """The head of an emulated LiDAR. Subclasses speak a maker's language.
 
-    Time passes only in `advance`. Devices measure at a constant rate, whatever the speed of their
-    head, which turns clockwise. Devices with `even_angles` measure at constant angles.
+    Time passes only in `advance`. Devices measure at a constant rate, and their head turns
+    clockwise.
 
     Args:
         look: Returns the ranges.
         rate: Turns per second [Hz].
         samples: Measurements per turn.
-        max_range: Ranges beyond it [m], inf and NaN count as failed measurements.
-        spin_up: Time from the start of the motor to full speed [s].
-        wobble: Share by which its speed rises and falls.
 
     Attributes:
         running: Whether its motor runs.
         scanning: Whether it sends measurements.
         turns: Number of turns that it has started while it sent measurements.
+        pace: Measurements per second [Hz].
     """
 
-    even_angles = False
-
-    def __init__(
-        self,
-        look: Look,
-        *,
-        rate: float = 5.5,
-        samples: int = 360,
-        max_range: float = 12.0,
-        spin_up: float = 0.0,
-        wobble: float = 0.0,
-    ) -> None:
+    def __init__(self, look: Look, *, rate: float = 5.5, samples: int = 360) -> None:
         self._look = look
         self._rate = rate
         self._samples = samples
-        self._max_range = max_range
-        self._spin_up = spin_up
-        self._wobble = wobble
         self.running = True
         self.scanning = True
         self.turns = 0
+        self.pace = rate * samples
 
         self._now = 0.0
-        self._spun = 0.0
-        """Time since the start of the motor [s]."""
         self._due = 0.0
         """Measurements that are due, as a fraction of the next one."""
         self._count = 0
@@ -110,49 +92,35 @@ class LidarTwin:
         Returns:
             The measurements that were made, or became complete, during this time.
         """
-        # A constant number of measurements in a second, or in a turn.
-        pace = self._rate * self._samples
-        if self.even_angles:
-            pace *= self.speed / self._rate
         self._now += dt
-        self._due += dt * pace
+        self._due += dt * self.pace
         count = int(self._due + 1e-9)
         self._due -= count
-
-        # The motor needs time to start, in which nothing is measured.
-        turning = self.running and self._spun >= self._spin_up
-        if self.running:
-            self._spun += dt
-        if not turning:
+        if not self.running:
             return b""
         numbers = self._count + np.arange(count + 1)
         self._count += count
         if not (self.scanning and count):
             return b""
 
-        turns = numbers / self._samples
-        if self._wobble and not self.even_angles:
-            share = 2.0 * np.pi / WOBBLE_TURNS
-            turns = turns + self._wobble / share * np.sin(turns * share)
-
         # A turn starts with the measurement that passes zero.
+        turns = self.turn(numbers)
         complete = np.floor(turns)
         starts = np.diff(complete) > 0.0
         self.turns += int(starts.sum())
         degrees = (turns - complete)[1:] * 360.0
-        ages: Floats = (np.arange(count, dtype=np.float64)[::-1] + self._due) / pace
+        # The newest measurement was made before the end of this time, the others before it.
+        ages: Floats = (np.arange(count, dtype=np.float64)[::-1] + self._due) / self.pace
         return self.encode(degrees, self.measure(degrees, ages), starts)
+
+    def turn(self, numbers: NDArray[np.int64]) -> Floats:
+        """Return how far the head has turned at the measurements of these numbers [turns]."""
+        return numbers / self._samples
 
     def measure(self, degrees: Floats, ages: Floats) -> Floats:
         """Measure ranges (N,) [m] with the head at these angles. 0 if a measurement fails."""
         ranges = self._look(-np.radians(degrees), ages)
-        return np.where((ranges > 0.0) & (ranges <= self._max_range), ranges, 0.0)
-
-    @property
-    def speed(self) -> float:
-        """Turns per second [Hz]."""
-        share = 2.0 * math.pi / WOBBLE_TURNS
-        return self._rate * (1.0 + self._wobble * math.cos(self._now * self._rate * share))
+        return np.where((ranges > 0.0) & (ranges <= MAX_RANGE), ranges, 0.0)
 
 
 class RplidarTwin(LidarTwin):
@@ -163,13 +131,11 @@ class RplidarTwin(LidarTwin):
 
     Args:
         look: Returns the ranges.
-        broken: Report an error and refuse to scan ("protection stop").
         **options: Options of the head, see `LidarTwin`.
     """
 
-    def __init__(self, look: Look, *, broken: bool = False, **options: Any) -> None:
+    def __init__(self, look: Look, **options: Any) -> None:
         super().__init__(look, **options)
-        self._broken = broken
         self.scanning = False
         self._request = bytearray()
 
@@ -185,6 +151,7 @@ class RplidarTwin(LidarTwin):
             # Bytes before a start flag belong to no request.
             if request or byte == SYNC:
                 request.append(byte)
+            # Requests have two bytes, or their own length if they have a payload.
             length = 2
             if len(request) > 1 and request[1] & HAS_PAYLOAD:
                 length = request[2] + 4 if len(request) > 2 else 4
@@ -197,22 +164,19 @@ class RplidarTwin(LidarTwin):
         """Execute a request and return the answer."""
         command = request[1]
         if command & HAS_PAYLOAD:
+            # The last byte is the checksum of the others.
             is_valid = functools.reduce(operator.xor, request) == 0
             if is_valid and command == MOTOR_PWM:
-                runs = any(request[3:5])
-                if runs and not self.running:
-                    self._spun = 0.0
-                self.running = runs
+                self.running = any(request[3:5])
             return b""
 
-        self.scanning = command == SCAN and not self._broken  # any other request ends a scan
+        self.scanning = command == SCAN  # any other request ends a scan
         if self.scanning:
             return encode_descriptor(NODE_TYPE.itemsize, MULTIPLE, 0x81)
         if command == GET_INFO:
             return encode_descriptor(20, SINGLE, 0x04) + DEVICE_INFO
         if command == GET_HEALTH:
-            health = b"\x02\x01\x80" if self._broken else bytes(3)
-            return encode_descriptor(3, SINGLE, 0x06) + health
+            return encode_descriptor(3, SINGLE, 0x06) + bytes(3)
         return b""  # STOP, RESET and unknown requests
 
     def encode(self, degrees: Floats, ranges: Floats, starts: NDArray[np.bool_]) -> bytes:
@@ -250,9 +214,3 @@ class LidarEmulator:
     def close(self) -> None:
         """Close the terminal. Idempotent."""
         self._cable.pull()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -118,6 +118,7 @@ class CommandInbox:
 
     Attributes:
         problem: Why the newest twist was refused. Empty if it wasn't.
+        simulated: Whether the ages of twists are by /clock.
     """
 
     def __init__(self, timeout: float, frame: str, report: Callable[[str], None]) -> None:
@@ -129,22 +130,15 @@ class CommandInbox:
         self._reported: dict[str, float] = {}
         self._has_reported_frame = False
         self.problem = ""
+        self.simulated = False
 
-    def take(
-        self,
-        velocities: Sequence[float],
-        age: float = 0.0,
-        frame: str = "",
-        *,
-        simulated: bool = False,
-    ) -> None:
+    def take(self, velocities: Sequence[float], age: float = 0.0, frame: str = "") -> None:
         """Take a twist, or refuse it and stop.
 
         Args:
             velocities: Linear x, y, z [m/s] and angular x, y, z [rad/s], of which x and z count.
             age: Time since it was stamped [s].
             frame: Frame of its header.
-            simulated: Whether `age` is by /clock.
         """
         # Nav2 and joysticks stamp their twists with other frames, and mean the base.
         if frame.lstrip("/") not in ("", self._frame) and not self._has_reported_frame:
@@ -154,7 +148,7 @@ class CommandInbox:
             values = ", ".join(f"{value:g}" for value in velocities)
             self._refuse("a twist that isn't finite", values)
         elif not abs(age) < self._timeout:
-            self._refuse("a twist by its stamp", f"it {explain_age(age, simulated=simulated)}")
+            self._refuse("a twist by its stamp", f"it {explain_age(age, simulated=self.simulated)}")
         else:
             self._newest = (velocities[0], velocities[5])
             self._end = time.monotonic() + self._timeout
@@ -273,6 +267,7 @@ class RobotNode(RosNode):
     def _read_parameters(self) -> None:
         """Declare the parameters, and read their values."""
         # The robot's file gives the defaults of its fields, so it is read first.
+        # Before others are declared: only these were given by the user.
         given_names = self.list_parameters()
         self.declare(NODE_PARAMETERS, changeable=(SCENE_PARAMETER, START_PARAMETER))
         config = RobotConfig.of(self._read("robot", str) or None)
@@ -291,6 +286,7 @@ class RobotNode(RosNode):
         self.config = config.with_(**changes)
         self.link = self._read("link", str)
         self.lidar = self._read("lidar", str)
+        # 1 is an integer in YAML.
         timeout = self._read("cmd_vel_timeout", int, float)
         if not 0.0 < timeout < math.inf:
             raise ConfigError(f"cmd_vel_timeout = {timeout:g}: must be positive")
@@ -362,6 +358,7 @@ class RobotNode(RosNode):
         """Offer services of type std_srvs/Trigger, whose work the control loop does."""
 
         def serve(work: Callable[[], str], _: Any, response: Any) -> Any:
+            # The loop may be in the middle of a tick, so the answer comes later.
             answer: Future[str] = Future()
             self.requests.append((work, answer))
             try:
@@ -380,6 +377,7 @@ class RobotNode(RosNode):
     def start_clock(self) -> None:
         """Publish /clock from now on: time is simulated."""
         self._clock = self.publish("/clock", self.ros.Clock)
+        self.inbox.simulated = True
 
     def start(self) -> None:
         """Start the threads, which end before the process does."""
@@ -413,6 +411,7 @@ class RobotNode(RosNode):
         while self.requests:
             _, answer = self.requests.popleft()
             answer.set_exception(ConfigError("the driver has ended"))
+        # A thread that hangs in rclpy isn't waited for.
         for thread in self._threads:
             if thread.is_alive():
                 thread.join(2.0 * SPIN_PERIOD)
@@ -435,9 +434,10 @@ class RobotNode(RosNode):
         self._take_twist(message.twist, age, message.header.frame_id)
 
     def _take_twist(self, message: Any, age: float = 0.0, frame: str = "") -> None:
+        # All six components must be finite, though a robot drives only two.
         vectors = (message.linear, message.angular)
         velocities = [number for vector in vectors for number in (vector.x, vector.y, vector.z)]
-        self.inbox.take(velocities, age, frame, simulated=self._clock is not None)
+        self.inbox.take(velocities, age, frame)
 
     def _publish_measured(self) -> None:
         """Publish what the control loop hands over, if it does so soon."""
@@ -461,6 +461,7 @@ class RobotNode(RosNode):
         if self._clock is not None:
             self._clock.publish(self.ros.Clock(clock=stamp))
 
+        # Counted here, so that the control loop doesn't share numbers with this thread.
         self._ticks += 1
         self._late_ticks += measured.lateness > self.config.late_tick
         if time.monotonic() >= self._due:
@@ -601,6 +602,7 @@ class DrivenRobot:
                     self._answer(*node.requests.popleft())
                 robot.drive(*node.inbox.current())
                 node.put(self._measure())
+                # An emergency stop of another process holds until it is released there.
                 is_stopped = robot.safety.reason is Reason.EMERGENCY_STOP
                 if is_stopped and not (self._is_held or is_held()):
                     robot.safety.reset()  # released from another terminal
@@ -649,6 +651,7 @@ class DrivenRobot:
 
     def _take_scan(self) -> LaserScan | None:
         """Return the newest revolution as a message, if it is new."""
+        # A LiDAR turns more slowly than the loop ticks.
         sensor = find_lidar(self._robot.sensors)
         if sensor is None or sensor.revolution.stamp <= self._scanned:
             return None
@@ -666,6 +669,7 @@ class DrivenRobot:
     # Services
 
     def _estop(self) -> str:
+        # Without this mark, the loop would release the stop at once.
         self._is_held = True
         self._robot.estop()
         return "stopped; call release to drive again"

@@ -71,6 +71,7 @@ class Frames:
 
     def add(self, parent: str, child: str, pose: Pose) -> None:
         """Store the newest pose of a frame in its parent, unless it isn't finite."""
+        # A filter that diverged publishes NaN. The pose before it still holds.
         if all(map(math.isfinite, pose)):
             self._placed[child.lstrip("/")] = (parent.lstrip("/"), pose)
 
@@ -213,6 +214,7 @@ class PolicyNode(RosNode):
     def listen(self, rules: GoalRules, about: str) -> None:
         """Receive goals and offer the service from now on."""
         self.rules = rules
+        # Only now, when the robot can be driven.
         self.subscribe("goal_pose", self.ros.PoseStamped, self._take_goal)
         self.node.create_service(self.ros.Trigger, "~/cancel", self._cancel)
         self.say(f"{about}: waits for goals")
@@ -300,6 +302,7 @@ class PolicyNode(RosNode):
         place = message.pose.position
         goal = Goal(place.x, place.y, message.header.frame_id)
         try:
+            # A goal that can't be reached doesn't end the previous one.
             self.find_place(goal)
             self.goal = self.frames.fix_goal(goal)
         except GoalError as error:
@@ -354,6 +357,7 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
         """Start an episode. Its odometry frame starts where the robot is at rest now."""
         result = self.env.reset(**options)
+        # Places of the episode are relative to this pose.
         self._start = self._node.frames.find_base()
         return result
 
@@ -377,6 +381,7 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         robot = self._inner.robot
         map_sensor = find_map(robot.sensors)
         goal = self._inner.episode.assignment.goal
+        # Without a map, the way is a straight line.
         ahead = [goal] if map_sensor is None else map_sensor.way_ahead.tolist()
         places = [robot.odometry.pose, *((x, y, 0.0) for x, y, *_ in ahead)]
         self._node.show_plan(
@@ -409,8 +414,10 @@ def drive_goals(
     robot = inner.robot
     robot.connect()
     link = robot.link.ros
+    # Goals are places of the world in which the robot is, so it stays there.
     link.places_robot = False
     node.listen(GoalRules.of(env), str(policy.path))
+    # Wrapped once: episodes come and go, the robot and its links stay.
     watched = GoalEnv(env, node, link)
     driven = 0
     while count is None or driven < count:

@@ -23,7 +23,7 @@ def sensor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
-    """`start("--spin-up", "1", ...)` starts a sensor for this test."""
+    """`start("--model", "ld06", ...)` starts a sensor for this test."""
     running: list[Emulated] = []
 
     def begin(*arguments: str) -> Emulated:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lidar_tools import Floats, nothing, room
-from lidar_twins import MAKERS
+from lidar_twins import MAKERS, let_wobble
 from serial_lidar_tools import show_turned, shows_the_room
 
 from acsar_gym.lidar.drivers import find_drivers
@@ -142,7 +142,8 @@ def test_assembler_times_each_measurement(
         return 1.0 + (clock - ages) % 3.0
 
     rate = 4.5 if model == "neato" else 6.0  # its wire carries no more than 5.8
-    twin = make_twin(model, tell_time, wobble=wobble, rate=rate)
+    twin = make_twin(model, tell_time, rate=rate)
+    let_wobble(twin, wobble)
     advance: Callable[[float], bytes] = twin.advance
 
     def tick(dt: float) -> bytes:

@@ -85,6 +85,25 @@ def test_serial_lidar_stops_its_motor_at_the_end_of_a_process(
     wait_until(lambda: state(sensor) == STANDSTILL, "a stop")
 
 
+FORK = """
+child = os.fork()
+if child == 0:
+    sys.exit()
+os.waitpid(child, 0)
+stamp = lidar.scan().stamp
+while lidar.scan().stamp == stamp:
+    time.sleep(0.01)
+print("goes on", flush=True)
+"""
+
+
+def test_serial_lidar_goes_on_after_a_fork(sensor: Emulated) -> None:
+    with program(PROGRAM + FORK, sensor.device) as process:
+        assert [first_line(process) for _ in range(2)] == ["scanning", "goes on"]
+        process.communicate(timeout=TIMEOUT)
+    wait_until(lambda: state(sensor) == STANDSTILL, "a stop")
+
+
 def test_serial_lidar_opens_a_device_that_still_scans(sensor: Emulated, make: Open) -> None:
     with program(PROGRAM + "os.kill(os.getpid(), signal.SIGKILL)", sensor.device) as process:
         process.communicate(timeout=TIMEOUT)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import select
-import stat
 import termios
 import time
 import tty
@@ -37,13 +36,6 @@ def test_tests_over_serial_devices_share_a_worker(request: pytest.FixtureRequest
 
 def wait_for_log(emulator: Emulated, until: float) -> None:
     wait_until(lambda: any(e["t"] > until for e in emulator.events()[-1:]), "a log that goes on")
-
-
-def test_emulate_serves_a_terminal_and_logs_from_the_origin(own_emulator: Emulated) -> None:
-    assert stat.S_ISCHR(os.stat(own_emulator.device).st_mode)  # noqa: PTH116 - a device, not a path
-    wait_until(lambda: len(own_emulator.poses()) > 10, "poses")
-    assert own_emulator.poses()[0] == (0.0, 0.0, 0.0)
-    assert own_emulator.end() == 0
 
 
 @pytest.mark.parametrize("body", ["planar", "bullet"])
@@ -95,15 +87,12 @@ def test_emulate_does_not_replay_a_stall(emulator: Emulated) -> None:
     assert sum(e["lost"] for e in emulator.events() if "lost" in e) > LONGEST_CATCH_UP
 
 
-def test_emulate_ends_after_a_duration(tmp_path: Path) -> None:
+def test_emulate_ends_after_a_duration_or_if_its_log_cannot_be_written(tmp_path: Path) -> None:
     log = tmp_path / "log.jsonl"
     done = cli("emulate", "--duration", "0.2", "--log", log)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("serving a robot on /dev/")
-    assert 1 <= log.read_text(encoding="ascii").count('"pose"') <= 41
-
-
-def test_emulate_reports_a_log_that_cannot_be_written() -> None:
+    assert 1 <= log.read_text(encoding="ascii").count('"pose": [0.0, 0.0, 0.0]') <= 41
     done = cli("emulate", "--duration", "0.2", "--log", "/dev/full")
     assert done.returncode == 2
     assert done.stderr == "acsar-gym: /dev/full: can't be written: No space left on device\n"

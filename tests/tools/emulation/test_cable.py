@@ -49,12 +49,6 @@ def read_soon(descriptor: int) -> bytes:
     return os.read(descriptor, 4096)
 
 
-def test_cable_keeps_a_name_in_use(cable: EmulatedCable, name: Path) -> None:
-    with pytest.raises(ConfigError, match=r"usb-acsar: is the name of /dev/pts/\d+"):
-        EmulatedCable(BAUD_RATE, name)
-    assert str(name.readlink()) == cable.device
-
-
 def test_pull_and_plug_make_a_new_device_of_the_name(cable: EmulatedCable, name: Path) -> None:
     old_device = cable.device
     with client(old_device) as port:  # keeps the old name from being used again
@@ -92,13 +86,17 @@ def test_over_uart_needs_equal_baud_rates(rate: int, cable: EmulatedCable) -> No
     [
         ("file", "exists and isn't a symbolic link: name another"),
         ("missing/name", "can't be a symbolic link: "),
+        ("usb-acsar", r"usb-acsar: is the name of /dev/pts/\d+"),
     ],
 )
-def test_cable_destroys_no_file_of_its_name(kept: str, message: str, tmp_path: Path) -> None:
+def test_cable_destroys_no_file_of_its_name(
+    kept: str, message: str, tmp_path: Path, cable: EmulatedCable, name: Path
+) -> None:
     (tmp_path / "file").write_text("mine")
     with no_leak(), pytest.raises(ConfigError, match=message):
         EmulatedCable(BAUD_RATE, tmp_path / kept)
     assert (tmp_path / "file").read_text() == "mine"
+    assert str(name.readlink()) == cable.device
 
 
 @pytest.mark.usefixtures("deadline")

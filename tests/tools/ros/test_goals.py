@@ -86,35 +86,26 @@ def make_env(name: str, **options: Any) -> gymnasium.Env[Any, Any]:
     return gymnasium.make(f"acsar_gym/{name}", link="planar", **options)
 
 
-def test_goal_rules_of_an_open_floor_are_the_tasks() -> None:
+def test_goal_rules_are_those_of_the_task() -> None:
     with contextlib.closing(make_env("PointGoal-v0", goal_distance=(1.0, 4.0))) as env:
         rules = GoalRules.of(env)
+        env.reset(seed=0, options={"goal": (2.0, 0.0)})
+        inner: Any = env.unwrapped
+        move_goal(inner, (0.0, 3.0))
+        assert env.step(np.zeros(2, np.float32))[4]["goal_distance"] == pytest.approx(3.0)
     rules.check(Goal(0.0, -4.0), 4.0)
     for distance in (0.5, 4.1):
         with pytest.raises(GoalError, match="must be 1 to 4 m"):
             rules.check(Goal(distance, 0.0, "map"), distance)
 
-
-def test_goal_rules_among_obstacles_end_with_the_time_limit() -> None:
+    # Among obstacles, goals are as far as the robot gets in its time.
     with contextlib.closing(make_env("ObstacleGoal-v1", max_episode_steps=100)) as env:
         rules = GoalRules.of(env)
-        inner: Any = env.unwrapped
+        inner = env.unwrapped
     assert rules == pytest.approx((0.3, 10.0 * inner.robot.config.max_linear))
-
-
-def test_goal_rules_refuse_a_task_without_goals() -> None:
     env = make_env("PathFollow-v0")
     with contextlib.closing(env), pytest.raises(ConfigError, match="has no goals"):
         GoalRules.of(env)
-
-
-def test_move_goal_shows_in_the_next_observation() -> None:
-    with contextlib.closing(make_env("PointGoal-v0")) as env:
-        env.reset(seed=0, options={"goal": (2.0, 0.0)})
-        inner: Any = env.unwrapped
-        move_goal(inner, (0.0, 2.0))
-        info = env.step(np.zeros(2, np.float32))[4]
-    assert info["goal_distance"] == pytest.approx(2.0)
 
 
 @pytest.mark.slow
