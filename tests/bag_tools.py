@@ -49,16 +49,13 @@ def make_bag(
     return sorted(bag, key=lambda message: message[2])
 
 
-def stamp_twist(content: Any) -> Any:
-    """A TwistStamped of a Twist."""
-    return messages.make_message("geometry_msgs/msg/TwistStamped", twist=content)
-
-
 def without_velocities(topic: str, content: Any) -> Any:
     """Joint states with positions only, and stamped twists."""
     if topic == "/joint_states":
         content.velocity = np.zeros(0)
-    return stamp_twist(content) if topic.startswith("/cmd_vel") else content
+    if topic.startswith("/cmd_vel"):
+        return messages.make_message("geometry_msgs/msg/TwistStamped", twist=content)
+    return content
 
 
 def write_mcap(path: Path, bag: Bag) -> Path:

@@ -16,7 +16,7 @@ import serial
 from acsar_gym import Link, RobotConfig, open_link
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.recording import Recorder, read
-from acsar_gym.recording.recorded import RecordedLink
+from acsar_gym.recording.recorder import RecordedLink
 from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
 

@@ -37,11 +37,9 @@ from acsar_gym.protocol import Speeds, encode
 from acsar_gym.reading import open_file
 from acsar_gym.recording.bag_files import PACKED, BagFiles, BagMessage
 from acsar_gym.recording.blocks import MAGIC, find_block
-from acsar_gym.recording.events import Began, Event
+from acsar_gym.recording.events import UNKNOWN_TRUTH, Began, Event
 from acsar_gym.recording.messages import load_typestore, make_header
-from acsar_gym.recording.recorded import UNKNOWN_TRUTH
-from acsar_gym.recording.tabulator import Tabulator
-from acsar_gym.recording.writer import RecordingWriter
+from acsar_gym.recording.writer import RecordingWriter, Tabulator
 from acsar_gym.ros.joints import WRAPPING_RANGE, JointReader
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -87,6 +85,7 @@ def open_recording(path: Path, robot: RobotConfig | None, topics: Sequence[str] 
         return path
     if robot is None:
         raise ConfigError(f"{path}: is a ROS 2 bag: name its robot with --robot PRESET|FILE")
+    # Readers take a path, so the recording is a file until the program ends.
     folder = Path(tempfile.mkdtemp(prefix="acsar-gym-bag-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     (folder / "unpacked").mkdir()
@@ -107,6 +106,7 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
 
     # The bag has its own clock, and no process that drives.
     header = make_header(robot, {"command": "bag", "bag": path.name, "topics": chosen})
+    # By the hash of the bag, a fit that was made of it is recognized.
     header |= {"process": 0, "source": files.compute_hash()}
     header["created"] = {"wall": min(surveys[topic].times[0] for topic in roles), "monotonic": 0}
 
@@ -178,6 +178,7 @@ def survey_topics(files: BagFiles) -> dict[str, TopicSurvey]:
         survey.times.append(message.time)
         if message.kind != JOINT_STATE or survey.has_velocities:
             continue
+        # Whether positions wrap is known only after all of them have been seen.
         content = deserialize(message)
         if content is not None:
             survey.joints = survey.joints or [str(name) for name in content.name]
@@ -211,6 +212,7 @@ def choose_topics(
     """
     topics = ", ".join(f"{name} ({survey.kind})" for name, survey in sorted(surveys.items()))
     content = escape_unprintable(f"it has {topics}", 300)
+    # A misspelt topic would otherwise be a topic that the bag doesn't use.
     for name in wanted:
         if not any(is_below(topic, name) for topic in surveys):
             raise ConfigError(f"{path}: has no topic {show_value(name)}: {content}")
@@ -311,6 +313,7 @@ class BagConverter:
 
     def _read_twist(self, twist: Any) -> Speeds | None:
         """Return the wheel speeds of a twist. None if it isn't finite."""
+        # A board of this package would get these bytes, so tools read them as its log.
         linear = float(twist.linear.x)
         angular = float(twist.angular.z)
         if not math.isfinite(linear + angular):
@@ -333,6 +336,7 @@ class BagConverter:
             return None
         self._has_moved = self._has_moved or has_position
 
+        # Differences of positions need the time of the measurement, not that of the recording.
         stamp = content.header.stamp
         when = stamp.sec + stamp.nanosec / 1e9
         if has_velocities(content) or not when:
@@ -348,6 +352,7 @@ class BagConverter:
         if speeds is None:
             return
         stamp = self._newest
+        # The bag's own odometry may be fused or corrected. A recording has that of the wheels.
         self._odometry.update(speeds, stamp - self._last_feedback)
         self._last_feedback = stamp
         line = self._encode(speeds, self._robot.wheels.encoders)
@@ -387,6 +392,7 @@ class BagConverter:
             revolution = read_scan(scan, Mount(), "scan", timeout=math.inf)
         except LidarError:
             return
+        # A scan belongs to a control period, and before the first there is none.
         if not self.periods:
             return
 

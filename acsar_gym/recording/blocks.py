@@ -52,9 +52,9 @@ Bounded = Annotated[int, Field(ge=0, le=MAX_OFFSET)]
 
 
 class Header(Section):
-    """What a header must have."""
+    """What a header must have. It may have more."""
 
-    model_config = ConfigDict(extra="ignore", strict=True)
+    model_config = ConfigDict(extra="allow", strict=True)
     format: int
     config: dict[str, Any]
     config_sha256: str
@@ -80,7 +80,7 @@ class Head(Section):
     """Whether the newest step terminated and truncated the episode, and succeeded."""
     tables: dict[str, list[Bounded]] = Field(default_factory=dict)
     """Shape of each table, and its length in the block [bytes]."""
-    header: dict[str, Any] | None = None
+    header: Header | None = None
     dropped: Bounded | None = None
     """In the last block: how many events were dropped."""
 
@@ -199,17 +199,12 @@ def read_block(file: IO[bytes], place: int) -> Block | None:
     if len(content) < remaining or content[-CHECKSUM.size :] != CHECKSUM.pack(checksum):
         return None
     line, _, data = content[: -CHECKSUM.size].partition(b"\n")
-    return Block(place, parse_section(Head, parse_json(line.decode("ascii", "replace"))), data)
-
-
-def parse_section(kind: type[Head | Header], mapping: Any) -> Any:
-    """Parse what JSON holds. Raises ConfigError if a field is missing or wrong."""
-    if not isinstance(mapping, dict):
-        raise ConfigError("is damaged: the beginning of a block is no mapping")
     try:
-        return kind.model_validate(mapping)
+        head = Head.model_validate(parse_json(line.decode("ascii", "replace")))
     except ConfigError as error:
         raise ConfigError(f"is damaged: {error}") from error
+
+    return Block(place, head, data)
 
 
 def _count_bytes(block: Block) -> int:

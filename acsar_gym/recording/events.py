@@ -8,7 +8,9 @@ long it is, and all bytes in a row.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,9 +22,8 @@ Table = NDArray[Any]
 Rows = Mapping[str, Any]
 """A row of each of some tables, or a list of rows for `PIECE_TABLES`. It has few containers: the
 garbage collector walks what waits in a queue, also in the control loop."""
-
-
 NO_ACTION = np.full(2, np.nan, np.float32)
+UNKNOWN_TRUTH = ((math.nan,) * 3, (math.nan,) * 2, math.nan)  # pose, twist and contact
 
 
 class Began(NamedTuple):
@@ -42,6 +43,7 @@ def make_dtype(**formats: str) -> np.dtype[np.void]:
     return np.dtype(list(formats.items()))
 
 
+# Structured types have the order of the fields of an event: `np.array(rows, kind)` encodes.
 PIECES = make_dtype(stamp="f8", size="i8")
 OCTETS, SINGLES, DOUBLES = map(np.dtype, ("u1", "f4", "f8"))
 TABLES = {
@@ -127,12 +129,35 @@ class Tables(dict[str, Table]):
         """Yield the tables in parts of moderate size."""
         yield self
 
+    @classmethod
+    def of(cls, events: Iterable[Rows]) -> Tables:
+        """Make tables of the rows of events. A table without a row is left out."""
+        # One call of NumPy for each table, not for each row.
+        rows: defaultdict[str, list[Any]] = defaultdict(list)
+        for event in events:
+            for name, row in event.items():
+                rows[name] += row if name in PIECE_TABLES else [row]
+
+        tables = cls()
+        for name in (name for name in TABLES if rows[name]):
+            if name in PIECE_TABLES:
+                tables[name] = np.array([(stamp, len(data)) for stamp, data in rows[name]], PIECES)
+                # All bytes in a row compress best, and their lengths are in the other table.
+                data = b"".join([data for _, data in rows[name]])
+                tables[f"{name}_bytes"] = np.frombuffer(data, OCTETS)
+            elif name == "measurements":
+                tables[name] = np.concatenate([np.column_stack(columns) for columns in rows[name]])
+            else:
+                tables[name] = np.array(rows[name], TABLES[name])
+        return tables
+
 
 def split_columns(table: Table) -> dict[str, Table]:
     """Return the columns of a table by name. Those of several numbers are split as in `PARTS`."""
     columns: dict[str, Table] = {}
     for name in table.dtype.names or ():
         names = PARTS.get(name, (name,))
+        # Columns that aren't contiguous would be copied again by each library.
         values = table[name].reshape(len(table), len(names)).T
         columns |= dict(zip(names, np.ascontiguousarray(values), strict=True))
     return columns

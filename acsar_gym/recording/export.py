@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, require_extra, show_value
+from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, require_extra
 from acsar_gym.reading import replace_file
 from acsar_gym.recording.events import Table, split_columns
 from acsar_gym.recording.reader import read
 from acsar_gym.recording.types import Episode, Recording, split_pieces
 
-TABLE_FORMATS = ("parquet", "csv")
 TRUTH = ("true_x", "true_y", "true_theta")
 MOVER_STATE = ("x", "y", "x_rate", "y_rate", "radius")
 DIRECTIONS = ("sent", "received")
@@ -29,7 +28,7 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
 
     Args:
         path: The recording.
-        to: Format, of `TABLE_FORMATS`.
+        to: Format, "parquet" or "csv".
         folder: Folder of the tables, which is made if it isn't there.
 
     Returns:
@@ -39,8 +38,6 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         ConfigError: The recording can't be read, or the folder can't be written.
         MissingExtraError: pyarrow isn't installed.
     """
-    if to not in TABLE_FORMATS:
-        raise ConfigError(f"--to {show_value(to)}: must be one of {', '.join(TABLE_FORMATS)}")
     recording = read(path)
     if recording.cut:
         loss = "the last episode is incomplete"
@@ -50,6 +47,7 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         import pyarrow as pa  # noqa: PLC0415 - optional
         from pyarrow import csv, parquet  # noqa: PLC0415 - optional
 
+    # Written in parts, so that a long drive needs little memory.
     make_writer = parquet.ParquetWriter if to == "parquet" else csv.CSVWriter
     writers: dict[str, Any] = {}
     try:
@@ -69,8 +67,8 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
     return [folder / f"{name}.{to}" for name in writers]
 
 
-def make_tables(recording: Recording) -> dict[str, TableColumns]:
-    """Return the tables of a recording by name: ticks, wire, steps, scans, movers.
+def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
+    """Yield names and rows of tables, in parts of moderate size: ticks, wire, steps, scans, movers.
 
     All have the number of the `episode`, `stamp` on the link's clock [s], and `time` on the wall
     clock of the first reset [ns since 1970].
@@ -78,19 +76,6 @@ def make_tables(recording: Recording) -> dict[str, TableColumns]:
     Raises:
         ConfigError: The episodes have different columns.
     """
-    parts: dict[str, list[TableColumns]] = {}
-    for name, columns in iterate_tables(recording):
-        parts.setdefault(name, []).append(columns)
-    tables: dict[str, TableColumns] = {}
-    for name, blocks in parts.items():
-        # Tables without rows don't know how long an observation is.
-        filled = [block for block in blocks if len(block["stamp"])] or blocks[:1]
-        tables[name] = {key: np.concatenate([b[key] for b in filled]) for key in filled[0]}
-    return tables
-
-
-def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
-    """Yield names and rows of tables, in parts of moderate size. See `make_tables`."""
     names: dict[str, list[str]] = {}
     for number, episode in enumerate(recording.episodes):
         for piece in episode.split():

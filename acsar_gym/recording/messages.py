@@ -24,10 +24,10 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from functools import cache, partial
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from functools import cache
 from importlib import metadata
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.config.robot import hash_config
 from acsar_gym.errors import require_extra
 from acsar_gym.lidar.scan import ray_spec
-from acsar_gym.odometry import POSE_COVARIANCE, TWIST_COVARIANCE
+from acsar_gym.odometry import POSE_COVARIANCE
 from acsar_gym.protocol import WHEELS
 from acsar_gym.recording.blocks import FORMAT
 from acsar_gym.recording.events import Table, Tables
@@ -50,34 +50,49 @@ JOINT_NAMES = [f"{wheel}_wheel_joint" for wheel in WHEELS]  # as in acsar.urdf
 SHOWN_RATE = 10.0  # how often a second reasons, lateness and movers are shown [Hz]
 NODE_NAME = "acsar_gym"  # what reports errors
 LOG_ERROR = 40  # level of a rcl_interfaces/msg/Log
-MARKER_HEIGHT = 1.7  # of the cylinder that shows a mover [m]
-MARKER_COLOUR = {"color.r": 0.56, "color.g": 0.27, "color.b": 0.68, "color.a": 0.8}
-CYLINDER = 3  # type of a marker
+MARKER = {
+    "ns": "movers",
+    "type": 3,
+    "pose.position.z": 0.85,
+    "pose.orientation.w": 1.0,
+    "scale.z": 1.7,
+    "color.r": 0.56,
+    "color.g": 0.27,
+    "color.b": 0.68,
+    "color.a": 0.8,
+}
+"""The cylinder that shows a mover, 1.7 m high [m]."""
 PROBE = 0x5A5A0000  # a whole number that no message contains
 WORST = {"/safety_reason": "reason", "/lateness": "lateness", "/feedback_age": "feedback_age"}
-LATCHED = ("/tf_static",)
-UPRIGHT = {"transform.rotation.w": 1.0}
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-JOINTS = "sensor_msgs/msg/JointState"
-SCAN = "sensor_msgs/msg/LaserScan"
 TWIST = "geometry_msgs/msg/Twist"
-MARKERS = "visualization_msgs/msg/MarkerArray"
 FLOATS = "std_msgs/msg/Float32MultiArray"
-FLOAT = "std_msgs/msg/Float64"
-TIME_REFERENCE = "sensor_msgs/msg/TimeReference"
-LOG = "rcl_interfaces/msg/Log"
-KINDS = (
-    ODOMETRY, TRANSFORMS, JOINTS, SCAN, TWIST, MARKERS, FLOATS, FLOAT, TIME_REFERENCE, LOG,
-)  # fmt: skip
-"""All types of messages of a recording."""
-UNMEASURED_VARIANCE = 1e3
+KINDS = {
+    "/odom": ODOMETRY,
+    "/tf": TRANSFORMS,
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/cmd_vel": TWIST,
+    "/cmd_vel_sent": TWIST,
+    **dict.fromkeys(WORST, "std_msgs/msg/Float64"),
+    "/tf_static": TRANSFORMS,
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/truth": ODOMETRY,
+    "/movers": "visualization_msgs/msg/MarkerArray",
+    "/observation": FLOATS,
+    "/action": FLOATS,
+    "/time_reference": "sensor_msgs/msg/TimeReference",
+    "/rosout": "rcl_interfaces/msg/Log",
+}
+"""All topics of a recording, and the types of their messages."""
+UNMEASURED = 1e3
 """Variance of what wheels don't measure, such as roll. robot_localization ("Preparing Your Data")
 takes a zero for nearly certain, and from this order on leaves such a part to another sensor."""
-DIAGONAL = np.arange(0, 36, 7)  # places of the variances in a row-major 6 x 6 matrix
-UNMEASURED = DIAGONAL[2:5]  # z, roll and pitch
-UNMEASURED_RATES = DIAGONAL[1:5]  # velocities along y and z, rates of roll and pitch
+MEASURED = POSE_COVARIANCE[0]
+POSE_VARIANCES = (MEASURED, MEASURED, UNMEASURED, UNMEASURED, UNMEASURED, MEASURED)
+TWIST_VARIANCES = (MEASURED, *[UNMEASURED] * 4, MEASURED)
+"""Variances along x, y and z, then those of roll, pitch and yaw, and of their rates."""
 LATCHED_QOS = """- history: 3
   depth: 0
   reliability: 1
@@ -122,25 +137,16 @@ def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]
 
 
 def make_covariances(
-    pose_diagonal: Sequence[float] | None = None, twist_diagonal: Sequence[float] | None = None
+    pose: Sequence[float] | None = None, twist: Sequence[float] | None = None
 ) -> tuple[Floats, Floats]:
     """Make the covariances of an odometry, row-major 6 x 6 matrices (36,).
 
     Args:
-        pose_diagonal: Six variances of the pose, as in diff_drive_controller. None for those of
-            the robot's own driver, and `UNMEASURED_VARIANCE` for what wheels don't measure.
-        twist_diagonal: Six variances of the twist likewise.
+        pose: Six variances of the pose, as in diff_drive_controller. None for those of the robot's
+            own driver, and `UNMEASURED` for what wheels don't measure.
+        twist: Six variances of the twist likewise.
     """
-    pose = np.array(POSE_COVARIANCE)
-    pose[UNMEASURED] = UNMEASURED_VARIANCE
-    if pose_diagonal is not None:
-        pose[DIAGONAL] = pose_diagonal
-
-    twist = np.array(TWIST_COVARIANCE)
-    twist[UNMEASURED_RATES] = UNMEASURED_VARIANCE
-    if twist_diagonal is not None:
-        twist[DIAGONAL] = twist_diagonal
-    return pose, twist
+    return np.diag(pose or POSE_VARIANCES).ravel(), np.diag(twist or TWIST_VARIANCES).ravel()
 
 
 @cache
@@ -154,6 +160,7 @@ def load_typestore() -> Any:
 @cache
 def define(kind: str) -> bytes:
     """Return the definition of a type, and of all types in it."""
+    # Programs of other distributions of ROS read the types from the file.
     text: str = load_typestore().generate_msgdef(kind, ros_version=2)[0]
     return text.encode()
 
@@ -164,7 +171,7 @@ def prepare_messages() -> None:
 
     This takes 0.1 s. In the writer's thread it would hold Python's lock while the robot drives.
     """
-    for kind in KINDS:
+    for kind in KINDS.values():
         define(kind)
         load_typestore().serialize_cdr(make_message(kind), kind)
 
@@ -246,6 +253,7 @@ class Template:
 
     def fill(self, times: NDArray[np.int64], numbers: Mapping[str, Table]) -> list[bytes]:
         """Make one message for each time [ns], with a row of the numbers."""
+        # One row of bytes for each message, whose numbers are overwritten column by column.
         messages = np.tile(self._plain, (len(times), 1))
         columns = self._add_stamps(numbers, times)
         for (kind, place), column in zip(self._places, columns, strict=True):
@@ -254,83 +262,139 @@ class Template:
         return [message.tobytes() for message in messages]
 
 
-class Series(NamedTuple):
-    """Messages of a topic: one for each row, unless its first numbers are NaN."""
-
-    topic: str
-    kind: str
-    stamps: Floats
-    """(n,) [s]."""
-    numbers: Mapping[str, Table]
-    """Columns (n, ...) of numbers, by path."""
-    fix: Callable[[], Mapping[str, Any]] = dict
-    """Returns what is the same in all messages, by path."""
+Series = tuple[str, Floats, Mapping[str, Table]]
+"""Messages of a topic, one for each row unless its first numbers are NaN: the topic, stamps (n,)
+[s], and columns (n, ...) of numbers by path."""
 
 
-def list_series(tables: Tables, head: Mapping[str, Any], config: RobotConfig) -> Iterator[Series]:
-    """Yield what is shown of a block, topic by topic."""
-    every = max(1, round(config.control_rate / SHOWN_RATE))
-    ticks = tables["ticks"]
-    if len(ticks):
-        yield from _show_ticks(ticks, config, every)
-    clocks = tables["clocks"]
-    resets = clocks["stamp"][clocks["stamp"] == head["start"]]
-    yield Series("/tf_static", TRANSFORMS, resets, {}, partial(_fix_mounts, config))
-    ranges = tables["ranges"]
-    shown = np.where(ranges >= config.lidar.max_range, np.inf, ranges).astype(np.float32)
-    yield Series(
-        "/scan", SCAN, tables["scans"]["stamp"], {"ranges": shown}, partial(_fix_scan, config)
-    )
+class Publisher:
+    """Makes the messages of a robot's tables."""
 
-    exchanges = tables["exchanges"]
-    fix_truth = partial(_fix_odometry, WORLD_FRAME)
-    yield Series("/truth", ODOMETRY, exchanges["stamp"], _list_odometry(exchanges), fix_truth)
-    # Movers are recorded in each period, which is more than a viewer needs.
-    movers = tables["movers"]
-    rows = movers["exchange"] % every == 0
-    states = tables["mover_states"][rows]
-    if len(states):
-        fix_movers = partial(_fix_movers, config, states.shape[1])
-        yield Series(
-            "/movers", MARKERS, movers["stamp"][rows], _place_movers(states, head), fix_movers
-        )
+    def __init__(self, config: RobotConfig) -> None:
+        self._config = config
+        self._every = max(1, round(config.control_rate / SHOWN_RATE))
+        self._templates: dict[Hashable, Template] = {}
 
-    steps = tables["steps"]["stamp"]
-    yield Series("/observation", FLOATS, steps, {"data": tables["observations"]})
-    yield Series("/action", FLOATS, steps, {"data": tables["actions"]})
-    seconds, nanoseconds = np.divmod(clocks["wall"], NANOSECONDS)
-    wall = {"time_ref.sec": seconds, "time_ref.nanosec": nanoseconds}
-    yield Series(
-        "/time_reference",
-        TIME_REFERENCE,
-        clocks["stamp"],
-        wall,
-        lambda: {"source": "wall clock"},
-    )
-    text = tables["faults_bytes"].tobytes().decode()
-    newest = tables["faults"]["stamp"][:1]  # several in a block are one message
-    fault = {"level": LOG_ERROR, "name": NODE_NAME, "msg": text}
-    yield Series("/rosout", LOG, newest, {}, lambda: fault)
+    def make_messages(
+        self, head: Mapping[str, Any], tables: Tables
+    ) -> Iterator[tuple[str, int, bytes]]:
+        """Yield topic, time [ns] and content of the messages of a block. See `Sink.write`."""
+        for topic, stamps, columns in self._list_series(head, tables):
+            # The first numbers are NaN in rows that other programs needn't see.
+            first = next(iter(columns.values()), stamps)
+            is_shown = ~np.isnan(first).all(axis=tuple(range(1, first.ndim)))
+            if not is_shown.any():
+                continue
+            numbers = {path: column[is_shown] for path, column in columns.items()}
 
+            # Messages of one form differ in their numbers only.
+            shapes = [values.shape[1:] for values in numbers.values()]
+            form = (topic, tables["faults_bytes"].tobytes(), *shapes)
+            if form not in self._templates:
+                message = make_message(KINDS[topic], **self._fix(topic, tables))
+                self._templates[form] = Template(message, numbers)
+            times = np.rint(stamps[is_shown] * 1e9).astype(np.int64) + head["offset"]
+            times = np.maximum(times, 0)
+            messages = self._templates[form].fill(times, numbers)
+            for moment, data in zip(times.tolist(), messages, strict=True):
+                yield topic, moment, data
 
-def _show_ticks(ticks: Table, config: RobotConfig, every: int) -> Iterator[Series]:
-    """Yield what is shown of ticks: each of them, and the worst of some as plain numbers."""
-    stamps = ticks["stamp"]
-    fix_odometry = partial(_fix_odometry, config.odom_frame)
-    yield Series("/odom", ODOMETRY, stamps, _list_odometry(ticks), fix_odometry)
-    moved = _list_pose(
-        ticks, "transforms.0.transform.translation", "transforms.0.transform.rotation"
-    )
-    yield Series("/tf", TRANSFORMS, stamps, moved, partial(_fix_moving, config))
-    joints = {"position": ticks["angles"], "velocity": ticks["speeds"]}
-    yield Series("/joint_states", JOINTS, stamps, joints, lambda: {"name": JOINT_NAMES})
-    yield Series("/cmd_vel", TWIST, stamps, _list_twist(ticks["asked"]))
-    yield Series("/cmd_vel_sent", TWIST, stamps, _list_twist(ticks["sent"]))
+    def _list_series(self, head: Mapping[str, Any], tables: Tables) -> Iterator[Series]:
+        """Yield what is shown of a block, topic by topic."""
+        ticks = tables["ticks"]
+        stamps = ticks["stamp"]
+        if len(ticks):
+            place = "transforms.0.transform"
+            moved = _list_pose(ticks, f"{place}.translation", f"{place}.rotation")
+            joints = {"position": ticks["angles"], "velocity": ticks["speeds"]}
+            yield ("/odom", stamps, _list_odometry(ticks))
+            yield ("/tf", stamps, moved)
+            yield ("/joint_states", stamps, joints)
+            yield ("/cmd_vel", stamps, _list_twist(ticks["asked"]))
+            yield ("/cmd_vel_sent", stamps, _list_twist(ticks["sent"]))
+            # The worst of some ticks, as plain numbers.
+            firsts = np.arange(0, len(ticks), self._every)
+            for topic, name in WORST.items():
+                worst = np.fmax.reduceat(ticks[name].astype(float), firsts)
+                yield (topic, stamps[firsts], {"data": worst})
 
-    firsts = np.arange(0, len(ticks), every)
-    for topic, name in WORST.items():
-        worst = np.fmax.reduceat(ticks[name].astype(float), firsts)
-        yield Series(topic, FLOAT, stamps[firsts], {"data": worst})
+        clocks = tables["clocks"]
+        ranges = tables["ranges"]
+        shown = np.where(ranges >= self._config.lidar.max_range, np.inf, ranges)
+        exchanges = tables["exchanges"]
+        yield ("/tf_static", clocks["stamp"][clocks["stamp"] == head["start"]], {})
+        yield ("/scan", tables["scans"]["stamp"], {"ranges": shown.astype(np.float32)})
+        yield ("/truth", exchanges["stamp"], _list_odometry(exchanges))
+
+        # Movers are recorded in each period, which is more than a viewer needs.
+        movers = tables["movers"]
+        rows = movers["exchange"] % self._every == 0
+        states = tables["mover_states"][rows]
+        if len(states):
+            yield ("/movers", movers["stamp"][rows], _place_movers(states, head))
+
+        steps = tables["steps"]["stamp"]
+        seconds, nanoseconds = np.divmod(clocks["wall"], NANOSECONDS)
+        wall = {"time_ref.sec": seconds, "time_ref.nanosec": nanoseconds}
+        yield ("/observation", steps, {"data": tables["observations"]})
+        yield ("/action", steps, {"data": tables["actions"]})
+        yield ("/time_reference", clocks["stamp"], wall)
+        yield ("/rosout", tables["faults"]["stamp"][:1], {})  # several are one message
+
+    def _fix(self, topic: str, tables: Tables) -> dict[str, Any]:
+        """Return what is the same in all messages of a topic, by path."""
+        config = self._config
+        fields: dict[str, Any] = {}
+
+        match topic:
+            case "/odom" | "/truth":
+                pose, twist = make_covariances()
+                fields = {
+                    "header.frame_id": config.odom_frame if topic == "/odom" else WORLD_FRAME,
+                    "child_frame_id": BASE_FOOTPRINT,
+                    "pose.covariance": pose,
+                    "twist.covariance": twist,
+                }
+            case "/tf":
+                fields = {"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]}
+            case "/tf_static":
+                # The base is above the ground by a wheel's radius, the LiDAR is on the base.
+                base = config.base_frame
+                mount = (config.lidar_x_offset, config.lidar_y_offset, config.lidar_z_offset)
+                axle = (0.0, 0.0, config.wheel_radius)
+                fields = {
+                    "transforms": [
+                        _make_transform(BASE_FOOTPRINT, base, axle),
+                        _make_transform(base, config.lidar_frame, mount),
+                    ]
+                }
+            case "/joint_states":
+                fields = {"name": JOINT_NAMES}
+            case "/scan":
+                # No time passes between rays: all are as from the robot's pose at the stamp.
+                spec = ray_spec(config)
+                angles = spec.angles()
+                fields = {
+                    "header.frame_id": config.lidar_frame,
+                    "angle_min": angles[0],
+                    "angle_max": angles[-1],
+                    "angle_increment": spec.step,
+                    "scan_time": 1.0 / config.lidar.rate,
+                    "range_min": config.lidar.min_range,
+                    "range_max": config.lidar.max_range,
+                }
+            case "/movers":
+                # A cylinder for each mover.
+                kind = "visualization_msgs/msg/Marker"
+                marker = {"header.frame_id": config.odom_frame, **MARKER}
+                count = tables["mover_states"].shape[1]
+                fields = {"markers": [make_message(kind, id=n, **marker) for n in range(count)]}
+            case "/time_reference":
+                fields = {"source": "wall clock"}
+            case "/rosout":
+                text = tables["faults_bytes"].tobytes().decode()
+                fields = {"level": LOG_ERROR, "name": NODE_NAME, "msg": text}
+        return fields
 
 
 def _list_pose(table: Table, place: str, turn: str) -> dict[str, Table]:
@@ -362,101 +426,14 @@ def _place_movers(states: Table, head: Mapping[str, Any]) -> dict[str, Table]:
     return columns
 
 
-def _fix_odometry(frame: str) -> dict[str, Any]:
-    pose, twist = make_covariances()
-    return {
-        "header.frame_id": frame,
-        "child_frame_id": BASE_FOOTPRINT,
-        "pose.covariance": pose,
-        "twist.covariance": twist,
-    }
-
-
-def _fix_moving(config: RobotConfig) -> dict[str, Any]:
-    return {"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]}
-
-
-def _fix_mounts(config: RobotConfig) -> dict[str, Any]:
-    """The places of base and LiDAR."""
-    base = config.base_frame
-    mount = {
-        "transform.translation.x": config.lidar_x_offset,
-        "transform.translation.y": config.lidar_y_offset,
-        "transform.translation.z": config.lidar_z_offset,
-        **UPRIGHT,
-    }
-    axle = {"transform.translation.z": config.wheel_radius, **UPRIGHT}
-    return {
-        "transforms": [
-            _make_transform(BASE_FOOTPRINT, base, **axle),
-            _make_transform(base, config.lidar_frame, **mount),
-        ]
-    }
-
-
-def _make_transform(parent: str, child: str, **fields: float) -> Any:
-    frames = {"header.frame_id": parent, "child_frame_id": child}
-    return make_message("geometry_msgs/msg/TransformStamped", **frames, **fields)
-
-
-def _fix_scan(config: RobotConfig) -> dict[str, Any]:
-    """All rays are as from the robot's pose at the stamp: no time passes between them."""
-    lidar = config.lidar
-    spec = ray_spec(config)
-    angles = spec.angles()
-    return {
-        "header.frame_id": config.lidar_frame,
-        "angle_min": angles[0],
-        "angle_max": angles[-1],
-        "angle_increment": spec.step,
-        "scan_time": 1.0 / lidar.rate,
-        "range_min": lidar.min_range,
-        "range_max": lidar.max_range,
-    }
-
-
-def _fix_movers(config: RobotConfig, count: int) -> dict[str, Any]:
-    """A cylinder for each mover."""
-    fields = {
-        "header.frame_id": config.odom_frame,
-        "ns": "movers",
-        "type": CYLINDER,
-        "pose.position.z": MARKER_HEIGHT / 2.0,
-        "pose.orientation.w": 1.0,
-        "scale.z": MARKER_HEIGHT,
-        **MARKER_COLOUR,
-    }
-    kind = "visualization_msgs/msg/Marker"
-    return {"markers": [make_message(kind, id=number, **fields) for number in range(count)]}
-
-
-class Publisher:
-    """Makes the messages of a robot's tables."""
-
-    def __init__(self, config: RobotConfig) -> None:
-        self._config = config
-        self._templates: dict[Hashable, Template] = {}
-
-    def make_messages(
-        self, head: Mapping[str, Any], tables: Tables
-    ) -> Iterator[tuple[Series, int, bytes]]:
-        """Yield series, time [ns] and content of the messages of a block. See `Sink.write`."""
-        for series in list_series(tables, head, self._config):
-            # The first numbers are NaN in rows that other programs needn't see.
-            first = next(iter(series.numbers.values()), series.stamps)
-            is_shown = ~np.isnan(first).all(axis=tuple(range(1, first.ndim)))
-            if not is_shown.any():
-                continue
-            numbers = {path: column[is_shown] for path, column in series.numbers.items()}
-
-            # Messages of one form differ in their numbers only.
-            shapes = [values.shape[1:] for values in numbers.values()]
-            form = (series.topic, tables["faults_bytes"].tobytes(), *shapes)
-            if form not in self._templates:
-                message = make_message(series.kind, **series.fix())
-                self._templates[form] = Template(message, numbers)
-            times = np.rint(series.stamps[is_shown] * 1e9).astype(np.int64) + head["offset"]
-            times = np.maximum(times, 0)
-            messages = self._templates[form].fill(times, numbers)
-            for moment, data in zip(times.tolist(), messages, strict=True):
-                yield series, moment, data
+def _make_transform(
+    parent: str, child: str, place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Any:
+    """Make a transform without a turn, which a moving frame gets later."""
+    message = make_message(
+        "geometry_msgs/msg/TransformStamped",
+        **{"header.frame_id": parent, "child_frame_id": child, "transform.rotation.w": 1.0},
+    )
+    translation = message.transform.translation
+    translation.x, translation.y, translation.z = place
+    return message

@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from acsar_gym.recording.blocks import (
     Header,
     has_end,
     iterate_blocks,
-    parse_section,
     read_block,
     unpack_table,
 )
@@ -64,6 +63,7 @@ class StoredTables(Tables):
         self.head = head.model_copy(update={"outcome": outcome})
         if head.periods is not None:
             _, last = head.periods
+            # Blocks repeat the number of their first and last period, so a gap is noticed.
             lacking = last + 1 - self._next_period - head.tables.get("exchanges", [0])[0]
             self.missing += max(lacking, 0)
             self._next_period = last + 1
@@ -78,6 +78,7 @@ class StoredTables(Tables):
             yield StoredTables(self._path, self._places[first : first + PART_BLOCKS])
 
     def __missing__(self, name: str) -> Table:
+        # A long recording doesn't fit into memory: only the table that is asked for is read.
         parts = []
         with open_file(self._path) as file:  # errors name the file
             for place in self._places:
@@ -101,6 +102,7 @@ def check_table(name: str, table: Table) -> None:
     """Raise ConfigError if a table holds numbers that no robot has."""
     problem = ""
     if table.dtype.names:
+        # Times that no clock shows would break whatever computes with them.
         stamps = table["stamp"]
         if not (np.abs(stamps) <= MAX_STAMP).all():
             problem = "a time that is out of range"
@@ -108,11 +110,6 @@ def check_table(name: str, table: Table) -> None:
             problem = "its times go backwards"
     elif table.dtype == DOUBLES and not (np.abs(table) <= MAX_STAMP).all():
         problem = f"{name} that are out of range"
-    elif name == "mover_states" and not (table[..., -1:] > 0.0).all():
-        problem = "a mover without a radius"
-    elif name == "measurements" and not (table[..., 1:2] >= 0.0).all():
-        problem = "a negative distance of the LiDAR"
-
     if problem:
         raise ConfigError(f"is damaged: {problem}")
 
@@ -144,7 +141,7 @@ def read(path: str | Path) -> Recording:
 def read_quietly(path: Path) -> Recording:
     """Read a recording as `read` does, without its warning."""
     damages: list[str] = []
-    header: dict[str, Any] | None = None
+    header: Header | None = None
     dropped: int | None = None
     stored: dict[int, StoredTables] = {}
     with open_file(path) as file:
@@ -157,21 +154,32 @@ def read_quietly(path: Path) -> Recording:
 
         # The header is in the first block and in the last.
         if header is None or not stored:
-            raise ConfigError(_explain_nothing(file, header, damages, is_whole=dropped is not None))
-        if header.get("format") != FORMAT:
-            shown = str(header.get("format"))[:20]
-            raise ConfigError(
-                f"is a recording of format {shown}: this version reads format {FORMAT}"
+            problem = (
+                "holds no episode" if dropped is not None else "is cut before its first episode"
             )
-        parse_section(Header, header)
-        config = RobotConfig.model_validate(header["config"])
+            if header is None:
+                problem = (
+                    "isn't a recording of acsar_gym (format 1 is read as a ROS 2 bag, with --robot)"
+                )
+            if damages:
+                problem = f"is damaged: {damages[0]}"
+            file.seek(0)
+            if file.read(len(MAGIC)) != MAGIC:
+                problem = "isn't a recording: not an MCAP file"
+            raise ConfigError(problem)
+        if header.format != FORMAT:
+            raise ConfigError(
+                f"is a recording of format {header.format}: this version reads format {FORMAT}"
+            )
+        # The robot as it was then, whatever its preset is today.
+        config = RobotConfig.model_validate(header.config)
         is_cut = dropped is None or not has_end(file)
         file.seek(0)
         digest = hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
     missing = sum(tables.missing for tables in stored.values())
     return Recording(
-        header=header,
+        header=header.model_dump(),
         sha256=digest,
         config=config,
         episodes=tuple(Episode(tables.head, tables) for tables in stored.values()),
@@ -182,28 +190,13 @@ def read_quietly(path: Path) -> Recording:
     )
 
 
-def _explain_nothing(
-    file: IO[bytes], header: Mapping[str, Any] | None, damages: list[str], *, is_whole: bool
-) -> str:
-    """Describe why a file has no episode."""
-    file.seek(0)
-    if file.read(len(MAGIC)) != MAGIC:
-        return "isn't a recording: not an MCAP file"
-    if damages:
-        return f"is damaged: {damages[0]}"
-    if header is None:
-        return "isn't a recording of acsar_gym (format 1 is read as a ROS 2 bag, with --robot)"
-    return "holds no episode" if is_whole else "is cut before its first episode"
-
-
 def summarize(path: Path) -> dict[str, Any]:
     """Sum up a recording, ready for JSON. Raises ConfigError if it can't be read."""
     recording = read_quietly(path)
     episodes = [_summarize_episode(episode) for episode in recording.episodes]
-    counts = {
-        name: sum(episode.tables.count(name) for episode in recording.episodes) for name in TABLES
-    }
-    exchanges = [episode.exchanges["contact"] for episode in recording.episodes]
+    counts = {name: sum(e.tables.count(name) for e in recording.episodes) for name in TABLES}
+    # Hardware has no ground truth.
+    contacts = np.concatenate([episode.exchanges["contact"] for episode in recording.episodes])
 
     header = recording.header
     return {
@@ -211,13 +204,14 @@ def summarize(path: Path) -> dict[str, Any]:
         "sha256": recording.sha256,
         "whole": not recording.cut,
         "damage": recording.describe_damage(),
+        # The last block has the number, and a cut file has no last block.
         "dropped": None if recording.cut and not recording.dropped else recording.dropped,
         "duration": round(sum(episode["duration"] for episode in episodes), 3),
         "about": header["about"],
         "robot": {
             "sha256": header["config_sha256"][:16],
             "base_frame": recording.config.base_frame,
-            "simulated": bool(np.isfinite(np.concatenate(exchanges)).any()),
+            "simulated": bool(np.isfinite(contacts).any()),
         },
         "versions": header["versions"],
         "created": header["created"],

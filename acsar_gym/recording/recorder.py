@@ -25,14 +25,14 @@ from acsar_gym.errors import (
     show_value,
 )
 from acsar_gym.guard.shutdown import call_at_end
-from acsar_gym.links.base import Link
-from acsar_gym.recording.events import NO_ACTION, Began, Event, Rows
+from acsar_gym.links.base import Arrivals, Link, LinkWrapper
+from acsar_gym.recording.events import NO_ACTION, UNKNOWN_TRUTH, Began, Event, Rows
 from acsar_gym.recording.messages import make_header
-from acsar_gym.recording.recorded import RecordedLink
-from acsar_gym.recording.tabulator import Sink, Tabulator
-from acsar_gym.recording.writer import RecordingWriter, check_target
+from acsar_gym.recording.writer import RecordingWriter, Sink, Tabulator, check_target
 from acsar_gym.robot import DriveObserver, Robot, StepResult
 from acsar_gym.sensors.lidar import find_lidar
+from acsar_gym.wire import round_stamp
+from acsar_gym.worlds import Scene
 
 QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
 WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s] (then it drops, too)
@@ -96,6 +96,7 @@ class Recorder(DriveObserver):
 
         self._capacity = capacity
         self._sinks = sinks
+        # Appending to a deque takes no lock, so the control loop never waits for the writer.
         self._queue: deque[Event] = deque()
         self._info: Mapping[str, Any] = {}
         self._clock_due = 0.0
@@ -104,7 +105,6 @@ class Recorder(DriveObserver):
         self._revolution: Any = None
 
         self._thread: threading.Thread | None = None
-        self._process = 0
         self._open_sinks: list[Sink] = []
         self._wake = threading.Event()
         self._is_ending = False
@@ -186,16 +186,9 @@ class Recorder(DriveObserver):
         if action is None:
             action = NO_ACTION
 
-        step = (
-            result.step,
-            robot.link.now(),
-            result.reward,
-            result.terminated,
-            result.truncated,
-            result.is_success,
-        )
-        rows: dict[str, Any] = {
-            "steps": step,
+        outcome = (result.terminated, result.truncated, result.is_success)
+        rows = {
+            "steps": (result.step, robot.link.now(), result.reward, *outcome),
             "observations": result.observation.copy(),
             "actions": np.clip(action, -LARGEST, LARGEST).astype(np.float32),
         }
@@ -239,7 +232,6 @@ class Recorder(DriveObserver):
         if self.path is not None:
             self._open_sinks.append(RecordingWriter(self.path, config, header))
         self._open_sinks += [make(config, header) for make in self._sinks]
-        self._process = os.getpid()
         self._thread = threading.Thread(
             target=self._write_blocks, name="acsar_gym recorder", daemon=True
         )
@@ -293,6 +285,7 @@ class Recorder(DriveObserver):
         self.number = 0
         self._waits = simulated
         self._clock_due = stamp + 1.0
+        # A replay must know which times these are.
         info = {**self._info, "stamped": True} if stamped else self._info
         self._queue.append(Began(stamp, time.time_ns(), info))
         self._info = {}
@@ -312,7 +305,7 @@ class Recorder(DriveObserver):
             return
 
         # Wheels don't wait for a disk. Simulated time may.
-
+        # A disk that never answers must not stop a simulation for ever either.
         deadline = time.monotonic() + WRITER_TIMEOUT
         while len(self._queue) >= self._capacity:
             is_writing = self._thread is not None and self._thread.is_alive()
@@ -334,13 +327,11 @@ class Recorder(DriveObserver):
         if self._is_ending or self._thread is None:
             return
         self._is_ending = True
-        if self._process != os.getpid():  # a fork has no writer
-            return
-
-        self._wake.set()
-        self._thread.join(CLOSE_TIMEOUT)
-        if self._thread.is_alive():
-            self._failure = f"not finished after {CLOSE_TIMEOUT:g} s: the rest may be lost"
+        if self._thread.is_alive():  # not in a fork, nor after an error
+            self._wake.set()
+            self._thread.join(CLOSE_TIMEOUT)
+            if self._thread.is_alive():
+                self._failure = f"not finished after {CLOSE_TIMEOUT:g} s: the rest may be lost"
         self._warn()
 
     def _warn(self) -> None:
@@ -368,3 +359,104 @@ def close_recorders() -> None:
     for recorder in list(_open_recorders):
         with contextlib.suppress(Exception):
             recorder.close()
+
+
+class RecordedLink(LinkWrapper):
+    """Passes the bytes of another link to a recorder.
+
+    Its clock is still between resets, writes and periods, so that a replay shows the same times.
+    """
+
+    def __init__(self, inner: Link, recorder: Recorder, config: RobotConfig) -> None:
+        super().__init__(inner)
+        self._recorder = recorder
+        self._config = config
+        self._writes: list[tuple[float, bytes]] = []
+        self._now = 0.0
+
+    def open(self) -> None:
+        """Open the link, then the recorder: a link that doesn't open replaces no older recording.
+
+        Raises:
+            ConfigError: The recording can't be written, or must not replace an existing file.
+            LinkError: As for the link.
+        """
+        prefix, _, replayed = self.inner.device.partition(":")
+        self._recorder.check(Path(replayed) if prefix == "replay" else None)
+        self.inner.open()
+        try:
+            self._recorder.open(self._config)
+        except BaseException:
+            self.inner.close()
+            raise
+        _ = self.inner.arrivals  # from now on the link notes when bytes arrive
+
+    def reset(self, scene: Scene) -> None:
+        """Start an episode."""
+        self._recorder.open(self._config)
+        self._record_last_writes()
+        self.inner.reset(scene)
+        self._now = self.inner.now()
+        self._recorder.begin(
+            self._now, simulated=self.inner.lateness is None, stamped=self.inner.stamped
+        )
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the link."""
+        self.inner.write(data)
+        if self.inner.lateness is not None:  # time goes on meanwhile
+            self._now = round_stamp(self.inner.now())
+        self._writes.append((self._now, data))
+
+    def advance(self, period: float) -> bytes:
+        """Advance the link and record the period."""
+        link = self.inner
+        data = link.advance(period)
+        self._now = now = link.now()
+        # Links that don't know when their bytes arrived report nothing.
+        pieces: Arrivals = tuple(link.arrivals)
+        if b"".join([piece for _, piece in pieces]) != data:
+            pieces = ((now, data),)
+
+        truth = link.truth
+        true_state = UNKNOWN_TRUTH if truth is None else (truth.pose, truth.twist, truth.contact)
+        # All rows of a period are one event, which is recorded as a whole or dropped.
+        number = self._recorder.number
+        counts = (len(self._writes), len(pieces))
+        rows: dict[str, Any] = {
+            "exchanges": (number, now, *counts, link.lateness, *true_state),
+            "sent": self._writes,
+            "received": pieces,
+        }
+        if truth is not None and truth.crowd is not None:
+            rows["movers"] = (number, now, truth.crowd.hit, truth.crowd.intrusions)
+            rows["mover_states"] = truth.crowd.copy_states()
+
+        self._writes = []
+        self._recorder.add_period(now, rows)
+        return data
+
+    def now(self) -> float:
+        """Return the time of the newest reset, write or period, on the link's clock [s]."""
+        return self._now
+
+    def close(self) -> None:
+        """Close the link. The recording goes on with the next reset."""
+        try:
+            self.inner.close()
+        finally:
+            self._record_last_writes()
+
+    def _record_last_writes(self) -> None:
+        """Record what was sent since the last period of the episode."""
+        if self._writes:
+            self._recorder.add({"sent": self._writes})
+        self._writes = []
+
+    def __reduce__(self) -> tuple[Callable[[Link], Link], tuple[Link]]:
+        """Copies aren't recorded: two robots can't write one file."""
+        return _unwrapped, (self.inner,)
+
+
+def _unwrapped(link: Link) -> Link:
+    return link

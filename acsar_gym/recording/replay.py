@@ -15,7 +15,6 @@ from acsar_gym.links.base import Arrivals, Link, RecordedScans
 from acsar_gym.recording.blocks import Head
 from acsar_gym.recording.events import Tables
 from acsar_gym.recording.reader import read
-from acsar_gym.recording.recorded import REPLAY
 from acsar_gym.recording.types import Episode, Floats, Movers, Recording
 from acsar_gym.truth import GroundTruth
 from acsar_gym.worlds import Scene, World
@@ -37,6 +36,7 @@ class RecordedCrowd(Crowd):
 
     def play(self, exchange: int) -> None:
         """Show what was recorded at the end of an exchange, or before it if that is missing."""
+        # The first row is the reset's, which is shown until the first exchange.
         row = int(np.searchsorted(self._movers.exchanges[1:], exchange, side="right"))
         self.states[:, :CLOCK] = self._movers.states[row, :, :CLOCK]
         self.hit = float(self._movers.hits[row])
@@ -59,36 +59,33 @@ class ReplayLink(Link):
     arrivals: Arrivals = ()
 
     def __init__(self, path: str | Path, *, compare: bool = True) -> None:
-        self.device = f"{REPLAY}{path}"
+        self.device = f"replay:{path}"
         self._path = Path(path)
         self._compare = compare
         self._recording: Recording | None = None
-        self._episode = Episode(Head(), Tables())
         self._played = 0
         self._is_open = False
-
-        self._now = 0.0
-        self._next_period = 0
-        self._sent = b""
-        self._written = 0
+        self._load(Episode(Head(), Tables()))
 
     def open(self) -> None:
         """Read the recording. Raises ConfigError if it can't be read."""
         if self._recording is None:
             self._recording = read(self._path)
-            self._load(self._recording, 0)
+            self._load(self._recording.episodes[0])
         self._is_open = True
 
-    def _load(self, recording: Recording, number: int) -> None:
+    def _load(self, episode: Episode) -> None:
         """Take an episode, whose kind of time the link has from then on."""
-        episode = self._episode = recording.episodes[number]
+        self._episode = episode
         self._periods = episode.exchanges
+        # Where the bytes of each period end in the log of the wire.
         self._write_ends = np.concatenate([[0], np.cumsum(self._periods["writes"])]).tolist()
         self._piece_ends = np.concatenate([[0], np.cumsum(self._periods["pieces"])]).tolist()
 
         # People are where they were recorded, whatever the world's movers would do.
-        has_movers = bool(len(episode.movers.stamps))
-        self._crowd = RecordedCrowd(episode.movers, recording.config) if has_movers else None
+        self._crowd: RecordedCrowd | None = None
+        if self._recording is not None and len(episode.movers.stamps):
+            self._crowd = RecordedCrowd(episode.movers, self._recording.config)
 
         self._now = episode.start
         self._next_period = 0
@@ -124,12 +121,13 @@ class ReplayLink(Link):
                 f"{self._path}: all {self._played} episodes have been played{missing}",
                 "make a new link to play it again",
             )
-        self._load(recording, self._played)
+        self._load(recording.episodes[self._played])
         self._played += 1
 
     def write(self, data: bytes) -> None:
         """Take commands, which the next `advance` compares. If time was real, it goes on."""
         self._check_playing()
+        # A real clock went on while bytes were written, and a policy may have read it.
         number = self._write_ends[self._next_period] + self._written
         self._written += 1
         self._sent += data
@@ -150,6 +148,7 @@ class ReplayLink(Link):
         self._show(number)
 
         wire = self._episode.wire
+        # Pieces keep their own times, since lines are stamped by their last byte.
         pieces = slice(self._piece_ends[number], self._piece_ends[number + 1])
         received = wire.got[pieces]
         stamps = wire.got_stamps[pieces].tolist()
@@ -190,6 +189,7 @@ class ReplayLink(Link):
 
     def _describe_place(self) -> str:
         """Describe where the replay is, for messages."""
+        # Ticks are counted from the end of the reset, as users count them.
         first = self._episode.stamps[:1].min(initial=math.inf)
         tick = self._next_period - int(np.searchsorted(self._periods["stamp"], first))
         return f"tick {tick}" if tick > 0 else f"period {self._next_period} of the reset"
@@ -215,6 +215,7 @@ class ReplayLink(Link):
         Measurements are (3, n), as in `Revolutions.measured`. None if there is no revolution.
         """
         revolutions = self._episode.revolutions
+        # The newest revolution that had ended when this period began.
         number = int(np.searchsorted(revolutions.exchanges, self._next_period)) - 1
         if number < 0:
             return None

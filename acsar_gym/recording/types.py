@@ -45,10 +45,10 @@ class WireLog:
     def of(cls, sent: Arrivals, got: Arrivals, *, stamped: bool = False) -> WireLog:
         """Make a log of stamped writes and pieces."""
         return cls(
-            sent_stamps=np.array([stamp for stamp, _ in sent], np.float64),
-            sent=tuple(data for _, data in sent),
-            got_stamps=np.array([stamp for stamp, _ in got], np.float64),
-            got=tuple(data for _, data in got),
+            np.array([stamp for stamp, _ in sent], np.float64),
+            tuple(data for _, data in sent),
+            np.array([stamp for stamp, _ in got], np.float64),
+            tuple(data for _, data in got),
             stamped=stamped,
         )
 
@@ -81,6 +81,7 @@ def _decode_lines(
     stamps: Floats, pieces: Sequence[bytes], letters: WheelLetters | None
 ) -> tuple[Floats, Floats]:
     """Decode pieces of a byte stream. Each line gets the stamp of the piece that ends it."""
+    # The driver's own decoder, so that refused lines are refused here as well.
     decoder = Decoder()
     speeds = ZERO
     times = array("d")
@@ -135,6 +136,7 @@ class Movers(NamedTuple):
 def split_pieces(tables: Tables, name: str) -> tuple[bytes, ...]:
     """Return the pieces of bytes of two tables. Raises ConfigError if some bytes are missing."""
     data = tables[f"{name}_bytes"].tobytes()
+    # Lengths and bytes are separate tables, which a foreign file may fill differently.
     ends = np.cumsum(tables[name]["size"]).tolist()
     if sum(ends[-1:]) != len(data):
         raise ConfigError(f"is damaged: some bytes of {name} are missing")
@@ -144,10 +146,10 @@ def split_pieces(tables: Tables, name: str) -> tuple[bytes, ...]:
 def _make_wire(episode: Episode) -> WireLog:
     tables = episode.tables
     return WireLog(
-        sent_stamps=tables["sent"]["stamp"],
-        sent=split_pieces(tables, "sent"),
-        got_stamps=tables["received"]["stamp"],
-        got=split_pieces(tables, "received"),
+        tables["sent"]["stamp"],
+        split_pieces(tables, "sent"),
+        tables["received"]["stamp"],
+        split_pieces(tables, "received"),
         stamped=bool(episode.info.get("stamped")),
     )
 
@@ -156,12 +158,12 @@ def _join_truth(episode: Episode) -> Floats:
     """The true poses at the ends of the exchanges of ticks."""
     exchanges = episode.exchanges
     wanted = episode.tables["ticks"]["exchange"]
-    truth = np.full((len(wanted), 3), np.nan)
-    if len(exchanges):
-        places = np.searchsorted(exchanges["number"][:-1], wanted)
-        is_recorded = exchanges["number"][places] == wanted
-        truth[is_recorded] = exchanges["pose"][places[is_recorded]]
-    return truth
+    if not len(exchanges):
+        return np.full((len(wanted), 3), np.nan)
+    # A dropped exchange has no truth, and its ticks get NaN.
+    places = np.searchsorted(exchanges["number"][:-1], wanted)
+    is_recorded = exchanges["number"][places] == wanted
+    return np.where(is_recorded[:, None], exchanges["pose"][places], np.nan)
 
 
 def _split_revolutions(episode: Episode) -> Revolutions:
@@ -169,6 +171,7 @@ def _split_revolutions(episode: Episode) -> Revolutions:
     measured = episode.tables["measurements"]
     if table["size"].sum() != len(measured):
         raise ConfigError("is damaged: measurements of the LiDAR are missing")
+    # Each revolution has its own number of measurements.
     turns = np.split(measured, np.cumsum(table["size"]))[: len(table)]
     columns = [np.ascontiguousarray(turn.T) for turn in turns]
     return Revolutions(table["stamp"], columns, table["exchange"])
@@ -187,13 +190,8 @@ def _list_scans(episode: Episode) -> Scans:
 
 def _list_movers(episode: Episode) -> Movers:
     table = episode.tables["movers"]
-    return Movers(
-        exchanges=table["exchange"],
-        stamps=table["stamp"],
-        hits=table["hit"],
-        intrusions=table["intrusions"],
-        states=episode.tables["mover_states"],
-    )
+    states = episode.tables["mover_states"]
+    return Movers(table["exchange"], table["stamp"], table["hit"], table["intrusions"], states)
 
 
 def _made(make: Callable[[Episode], Any]) -> Any:
@@ -284,9 +282,7 @@ class Episode:
         self.start = head.start
         self.offset = head.offset
         self.info = head.info
-        outcome = head.outcome or (False, False, None)
-        self.terminated, self.truncated, self.success = outcome
-
+        self.terminated, self.truncated, self.success = head.outcome or (False, False, None)
         # A field of the instance hides the descriptor that would make it.
         vars(self).update(fields)
 
@@ -325,6 +321,7 @@ class Recording:
     @property
     def sources(self) -> set[str]:
         """Hash of the file, and of the bag that it was made of."""
+        # A bag is another file each time it is converted, but has one hash.
         source = self.header.get("source")
         return {self.sha256, *([source] if isinstance(source, str) else [])}
 
@@ -333,7 +330,8 @@ class Recording:
         if not self.damages:
             return ""
         count = len(self.damages)
-        places = ", ".join([*self.damages[:2], *["..."] * (count > 2)])
+        # The first two places are enough to look at the file.
+        places = ", ".join(self.damages[:2]) + ", ..." * (count > 2)
         lost = f"; {self.missing:,} control periods are missing" if self.missing else ""
         return (
             f"{count} damaged place{'s' * (count != 1)} left out ({places}){lost}; see mcap recover"

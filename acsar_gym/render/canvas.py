@@ -62,6 +62,7 @@ class View:
 
     def pixels(self, points: Floats) -> Floats:
         """Convert points (N, 2) [m] to columns and rows (N, 2) [pixels]."""
+        # Rows of a picture count downwards.
         x, y = (points - self.centre).T
         across = -y if self.up == "x" else x
         ahead = x if self.up == "x" else y
@@ -140,6 +141,7 @@ class Canvas:
     def reveal(self, layer: Picture, points: Floats) -> None:
         """Copy the inside of a polygon with corners (N, 2) from a layer of the same size."""
         pillow = import_pillow()
+        # Pillow pastes whole rectangles, so the polygon is a mask.
         mask = pillow.Image.new("1", self.layer.size)
         corners = flatten(self._fine_pixels(points))
         if len(corners) >= 6:
@@ -217,6 +219,7 @@ def path_lengths(points: Floats) -> Floats:
 
 def thin_line(points: Floats, distance: float) -> Floats:
     """Keep the first point, the last point, and a point for each `distance` of a line."""
+    # Pillow draws jagged lines through points that are closer than a line is wide.
     if len(points) <= 2:
         return points
     # The number of whole distances from the start grows at each point that is kept.
@@ -229,6 +232,7 @@ def thin_line(points: Floats, distance: float) -> Floats:
 
 def round_length(limit: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is at most `limit`."""
+    # The slack accepts lengths that rounding has made a little smaller.
     power = 10.0 ** math.floor(math.log10(limit))
     return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= limit * (1.0 + 1e-9))
 

@@ -179,6 +179,7 @@ class TopView:
     ) -> None:
         """Draw the area that the LiDAR sees, with a dot at every hit."""
         offset = np.array([[self._config.lidar_x_offset, self._config.lidar_y_offset]])
+        # A scan is as from the robot's present pose.
         sensor = place_points(offset, pose)
         ends = sensor + polar_points(angles + pose[2], np.minimum(ranges, reach))
         # Rays of a part of a turn enclose an area with the sensor.

@@ -139,6 +139,7 @@ class Safety:
         """
         wheels = np.array(check_speeds(speeds))
         x, y, _ = pose
+        # Raw wheel speeds have no ramp, but the same holds.
         memory = SafetyMemory(latched=self._memory["latched"][0])
         latched, reason = rules.find_holds(memory, x, y, age=feedback_age, rules=self._rules)
         if latched:

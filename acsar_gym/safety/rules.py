@@ -195,6 +195,7 @@ def find_holds(
     Returns:
         The reason that holds until the reset, and the reason of this tick. 0 for none.
     """
+    # NaN is inside of nothing, so a lost pose stops the robot.
     inside = (rules.min_x <= x) & (x <= rules.max_x) & (rules.min_y <= y) & (y <= rules.max_y)
     latched = memory.latched if inside or memory.latched > 0.0 else _GEOFENCE
     stale = _STALE if age > rules.stale + TIME_SLACK else 0.0
@@ -260,6 +261,7 @@ def limit_velocity(
     change = min(max(wanted - last - step, axis.min_jerk * scale), axis.max_jerk * scale)
     velocity = last + step + change
 
+    # A robot that turns round brakes by the limits of the direction it came from.
     braking = axis.min_acceleration if last > 0.0 else axis.min_reverse
     speeding_up = axis.max_acceleration if last >= 0.0 else axis.max_reverse
     rise = min(max(velocity - last, braking * dt), speeding_up * dt)

@@ -16,7 +16,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from acsar_gym.recording import read
-from acsar_gym.recording.export import make_tables
+from acsar_gym.recording.export import iterate_tables
 
 
 def summed_up(ticks: pd.DataFrame) -> pd.Series:
@@ -42,7 +42,9 @@ def main(
     recording: Annotated[Path, tyro.conf.Positional], plot: Path = Path("run.png")
 ) -> pd.DataFrame:
     """Print a table with a column for each episode, and draw the last one."""
-    ticks = pd.DataFrame(make_tables(read(recording))["ticks"])
+    tables = iterate_tables(read(recording))
+    parts = [pd.DataFrame(columns) for name, columns in tables if name == "ticks"]
+    ticks = pd.concat(parts, ignore_index=True)
     found = pd.DataFrame({number: summed_up(each) for number, each in ticks.groupby("episode")})
     print(found.round(3).to_string())
     last = ticks[ticks.episode == ticks.episode.max()].set_index("stamp")

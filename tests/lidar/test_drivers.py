@@ -17,7 +17,7 @@ from acsar_gym.lidar.scan import Revolution
 from acsar_gym.lidar.serial import SerialLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
 from acsar_gym.recording import Recorder
-from acsar_gym.recording.recorded import RecordedLink
+from acsar_gym.recording.recorder import RecordedLink
 from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")

@@ -18,8 +18,7 @@ from acsar_gym import RobotConfig
 from acsar_gym.recording import read
 from acsar_gym.recording.events import TABLES, Began, Event
 from acsar_gym.recording.messages import make_header
-from acsar_gym.recording.tabulator import Tabulator
-from acsar_gym.recording.writer import RecordingWriter
+from acsar_gym.recording.writer import RecordingWriter, Tabulator
 from acsar_gym.worlds.world import to_odometry
 
 TICKS = 120

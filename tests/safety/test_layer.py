@@ -52,8 +52,7 @@ def test_limits_of_the_full_speeds(linear: float, angular: float) -> None:
     driver, link = robot()
     driver.drive(linear, angular)
     assert driver.safety.reason is Reason.LIMITS
-    assert abs(driver.safety.sent[0]) <= ACSAR.max_linear + 1e-9
-    assert abs(driver.safety.sent[1]) <= ACSAR.max_angular + 1e-9
+    assert (np.abs(driver.safety.sent) <= (ACSAR.max_linear + 1e-9, ACSAR.max_angular + 1e-9)).all()
     twist = kinematics.forward(link.last, ACSAR.wheel_radius, ACSAR.effective_separation)
     assert twist == pytest.approx(driver.safety.sent, abs=WIRE)
 

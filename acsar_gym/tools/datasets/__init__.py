@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from acsar_gym.errors import ConfigError, explain_error
@@ -15,17 +15,11 @@ from acsar_gym.tools.datasets.lerobot import write_lerobot
 from acsar_gym.tools.datasets.minari import write_minari
 
 __all__ = [
-    "DATASET_FORMATS",
     "DemonstrationEpisode",
     "Demonstrations",
     "read_demonstrations",
     "write_dataset",
 ]
-DATASET_FORMATS: Mapping[str, Callable[[Demonstrations, Path, str], Path]] = {
-    "minari": write_minari,
-    "lerobot": write_lerobot,
-}
-"""What writes each format, by name."""
 
 
 def write_dataset(
@@ -35,7 +29,7 @@ def write_dataset(
     env: str = "",
     goal: tuple[float, float] | None = None,
 ) -> tuple[Path, Demonstrations]:
-    """Make one data set of recordings, in one of DATASET_FORMATS, as by `read_demonstrations`.
+    """Make one data set of recordings, "minari" or "lerobot", as by `read_demonstrations`.
 
     Returns:
         The folder of the data set, and what it holds.
@@ -47,6 +41,7 @@ def write_dataset(
     data = read_demonstrations(paths, env, goal)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return DATASET_FORMATS[to](data, folder, paths[0].stem), data
+        write = write_lerobot if to == "lerobot" else write_minari
+        return write(data, folder, paths[0].stem), data
     except OSError as error:
         raise ConfigError(f"{folder}: can't be written: {explain_error(error)}") from error

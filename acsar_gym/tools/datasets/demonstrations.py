@@ -121,6 +121,7 @@ def _read_recording(path: Path, env: str, goal: Goal | None) -> Demonstrations:
 
     stepped = [episode for episode in complete if _has_steps(episode)]
     if stepped and not env and goal is None:
+        # The numbers that the env saw are in the file: nothing has to be replayed.
         env_id = recorded_env
         names = [str(name) for name in about.get("observation", ())]
         rate = _find_rate(stepped[0], recording.config.control_rate)
@@ -206,6 +207,7 @@ def _make_replay_env(env_id: str, path: Path, recording: Recording, goal: Goal |
         return env
 
     env = make()
+    # A LiDAR can't be made of odometry.
     has_scans = any(len(episode.scans.stamps) for episode in recording.episodes)
     if any(sensor.name == LIDAR for sensor in env.sensors) and not has_scans:
         raise ConfigError(f"{path}: has no scans, which {env_id} observes: record with a LiDAR")
@@ -264,6 +266,7 @@ def _replay_episode(env: RobotEnv, name: str, twists: Floats, goal: Goal) -> Dem
     """Replay one episode by the twists asked for (n, 2), to their end or the env's episode's."""
     ticks = env.ticks_per_step
     count = len(twists) // ticks
+    # A policy acts once a step, a person at any tick.
     means = twists[: count * ticks].reshape(count, ticks, 2).mean(axis=1)
     if not np.isfinite(means).all():
         raise ConfigError(f"{name} has ticks without a command: it is no demonstration")

@@ -99,6 +99,7 @@ def _describe_episodes(data: Demonstrations, frames: Columns) -> list[dict[str, 
     rows: list[dict[str, Any]] = []
     first = 0
     for number, episode in enumerate(data.episodes):
+        # Readers look up frames by the rows at which an episode starts and ends.
         end = first + len(episode.actions)
         own_frames = {key: values[first:end] for key, values in frames.items()}
 
@@ -119,8 +120,11 @@ def _describe_episodes(data: Demonstrations, frames: Columns) -> list[dict[str, 
 
 def _summarize(frames: Columns) -> dict[str, dict[str, list[Any]]]:
     """Statistics of each feature, one number for each of its numbers."""
+    # Policies of LeRobot scale their inputs by these.
     summary = {}
+
     for key, values in frames.items():
+        # Features of one number have statistics of one number as well.
         rows = values.reshape(len(values), -1).astype(np.float64)
         statistics = {
             "min": rows.min(axis=0),

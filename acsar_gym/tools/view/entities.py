@@ -28,7 +28,6 @@ from acsar_gym.worlds.search import footprint_radius
 ROOT = "run"  # entity of the run
 TRAILS = ("path", "truth", "seen")  # entities of which all that was before the shown time is seen
 TIMELINE = "time"  # time since the reset [s]
-BURST_GAP = 1.0  # the same thing again within this time is in the same line of the log [s]
 STEP_TICKS = 10  # ticks between two points of a path
 MOVERS_RATE = 20.0  # how often a second movers are shown [Hz]
 GOAL_RADIUS = 0.15  # of the ring around the goal [m]
@@ -115,6 +114,7 @@ class EpisodeLogger:
             self._stream.send_columns(f"{ROOT}/{entity}", [index], columns)
 
     def _send_scalars(self, entity: str, times: Floats, values: Floats) -> None:
+        # NaN is what isn't known, such as lateness in simulation.
         is_known = np.isfinite(values)
         self._send(entity, times[is_known], rr.Scalars.columns(scalars=values[is_known]))
 
@@ -128,10 +128,9 @@ class EpisodeLogger:
 
     def _log_styles(self) -> None:
         """Set colours, and the names of plots."""
-        for entity, (colour, radius) in LINES.items():
-            self._set(entity, rr.LineStrips3D.from_fields(colors=[colour], radii=[radius]))
-        for entity, (colour, radius) in POINTS.items():
-            self._set(entity, rr.Points3D.from_fields(colors=[colour], radii=[radius]))
+        for archetype, styles in ((rr.LineStrips3D, LINES), (rr.Points3D, POINTS)):
+            for entity, (colour, radius) in styles.items():
+                self._set(entity, archetype.from_fields(colors=[colour], radii=[radius]))
         for entity in (*SCALARS, *(f"wheels/{wheel}/sent" for wheel in WHEELS)):
             kind = entity.rpartition("/")[2]
             self._set(entity, rr.SeriesLines(colors=PLOTS.get(kind), names=kind))
@@ -140,6 +139,7 @@ class EpisodeLogger:
 
     def _log_surroundings(self, part: Episode) -> None:
         """Draw the robot's footprint, the goal and the world, and note that it begins."""
+        # Closed, with a line to the front that shows the heading.
         corners = np.array([*self._config.outline, self._config.outline[0]]) @ (1.0, 1j)
         front = np.array([0.0, corners.real.max()], np.complex128)
         self._draw("robot/footprint", [corners, front])
@@ -149,6 +149,7 @@ class EpisodeLogger:
 
         world = find_world(self._header, self._config, part)
         if world is not None:
+            # Worlds are known in their own frame, drives in that of the odometry.
             rings = [x + 1j * y + radius * CIRCLE for x, y, radius in world.circles]
             walls = world.segments.reshape(-1, 2, 2) @ (1.0, 1j)
             self._draw("world/obstacles", [_to_odometry(part, line) for line in (*rings, *walls)])
@@ -177,6 +178,7 @@ class EpisodeLogger:
         place = rr.Transform3D.columns(translation=_lift(points), quaternion=turns)
         self._send("robot", times, place)
         self._log_path("path", times, points)
+        # Hardware has no truth.
         exchanges = part.exchanges[np.isfinite(part.exchanges["contact"])]
         true_points = _to_odometry(part, exchanges["pose"][:, :2] @ (1.0, 1j))
         self._log_path("truth", exchanges["stamp"] - part.start, true_points)
@@ -193,6 +195,7 @@ class EpisodeLogger:
         """Write a path as short pieces, each at its own time, after the part before."""
         if not len(points):
             return
+        # The last point of the part is where the next part goes on.
         rows = np.unique([*range(0, len(points), STEP_TICKS), len(points) - 1])
         corners = np.concatenate([self._ends.get(entity, points[:1]), points[rows]])
         self._ends[entity] = corners[-1:]
@@ -224,6 +227,7 @@ class EpisodeLogger:
     def _log_movers(self, part: Episode) -> None:
         """Write what moves, as rings, with lines to where each will be in a second."""
         movers = part.movers
+        # Movers are recorded in each period, more often than a viewer draws.
         rows = movers.exchanges % max(1, round(self._config.control_rate / MOVERS_RATE)) == 0
         strips: list[Floats] = []
         for x, y, x_rate, y_rate, radius in movers.states[rows].transpose(0, 2, 1)[..., None]:
@@ -248,6 +252,7 @@ class EpisodeLogger:
         ticks = part.tables["ticks"]
         stamps = part.stamps
         late = np.where(part.lateness > self._config.late_tick, part.lateness, 0.0)
+        # A running number, of which the log shows the increase.
         refused = self._changes("refused", ticks["refused"])
         lost = self._changes("exchange", ticks["exchange"]) - 1.0
         touched = self._changes("contact", part.exchanges["contact"])
@@ -257,10 +262,12 @@ class EpisodeLogger:
             ("{total:,.0f} control periods aren't recorded", "WARN", stamps, lost),
             ("touches an obstacle", "ERROR", part.exchanges["stamp"], touched),
         ):
-            for rows in _group_bursts(times, amounts > 0.0):
-                burst = amounts[rows]
-                words = text.format(count=len(rows), total=burst.sum(), worst=burst.max())
-                yield float(times[rows[0]]) - part.start, words, level
+            # The same thing again in the same part is in the same line.
+            rows = np.flatnonzero(amounts > 0.0)
+            for first in rows[:1]:
+                total = amounts[rows].sum()
+                words = text.format(count=len(rows), total=total, worst=amounts.max())
+                yield float(times[first]) - part.start, words, level
 
         hits = part.movers.hits
         for row in np.flatnonzero(self._changes("hit", hits)):
@@ -298,13 +305,6 @@ def _to_odometry(part: Episode, points: Points) -> Points:
     return moved
 
 
-def _group_bursts(times: Floats, happened: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Rows at which something happened, in groups less than BURST_GAP apart."""
-    rows = np.flatnonzero(happened)
-    groups = np.split(rows, np.flatnonzero(np.diff(times[rows]) > BURST_GAP) + 1)
-    return [group for group in groups if len(group)]
-
-
 def find_world(header: Mapping[str, Any], config: RobotConfig, part: Episode) -> World | None:
     """Return the world of a simulated episode. None if it isn't known.
 
@@ -318,6 +318,7 @@ def find_world(header: Mapping[str, Any], config: RobotConfig, part: Episode) ->
     names = [parse_name(str(item)) for item in (source if isinstance(source, list) else [source])]
     if not all(name and not name.module for name in names):
         return None
+    # The file may name a world that this version doesn't have: then none is drawn.
     key: Any = part.info.get("world")
     try:
         return Pool.of(source, options.get("difficulty"), footprint_radius(config))[key]
@@ -344,17 +345,11 @@ def make_blueprint(part: Episode, *, is_live: bool) -> rrb.Blueprint:
         eye_controls=eye,
     )
 
+    units = {f"wheels/{wheel}": "rad/s" for wheel in sorted(WHEELS)}
+    units |= {"command/linear": "m/s", "command/angular": "rad/s", "lateness": "ms"}
     plots = [
         rrb.TimeSeriesView(name=f"{entity} [{unit}]", contents=f"/{ROOT}/{entity}/**")
-        for entity, unit in (
-            ("wheels/front_left", "rad/s"),
-            ("wheels/front_right", "rad/s"),
-            ("wheels/rear_left", "rad/s"),
-            ("wheels/rear_right", "rad/s"),
-            ("command/linear", "m/s"),
-            ("command/angular", "rad/s"),
-            ("lateness", "ms"),
-        )
+        for entity, unit in units.items()
     ]
     why = rrb.StateTimelineView(name="Safety layer", contents=f"/{ROOT}/safety")
     log = rrb.TextLogView(name="Log", contents=f"/{ROOT}/log")

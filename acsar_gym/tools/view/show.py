@@ -24,7 +24,7 @@ from acsar_gym.recording import Episode, Recording, read
 from acsar_gym.recording.blocks import Head
 from acsar_gym.recording.events import Tables
 from acsar_gym.recording.recorder import SinkMaker
-from acsar_gym.recording.tabulator import Sink
+from acsar_gym.recording.writer import Sink
 from acsar_gym.tools.view.entities import EpisodeLogger, make_blueprint
 
 HOST = "127.0.0.1"
@@ -128,6 +128,7 @@ def save_recording(path: Path, target: Path) -> int:
         files: list[str] = []
 
         def connect(stream: rr.RecordingStream) -> None:
+            # A stream can't append to a file.
             files.append(f"{folder}/{len(files)}.rrd")
             stream.save(files[-1])
 
@@ -187,6 +188,7 @@ def start_viewer() -> Viewer:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     homes = {"XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder}
     environment = {**os.environ, **homes, "RUST_LOG": "error"}
+    # Switch off Rerun's analytics, whose setting is in this folder.
     program = find_rerun()
     off = [program, "analytics", "disable"]
     subprocess.run(off, check=False, env=environment, capture_output=True)

@@ -15,7 +15,7 @@ from rerun.chunk import RrdReader
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording import Episode, Recorder, read
+from acsar_gym.recording import Recorder, read
 from acsar_gym.recording.events import TABLES
 from acsar_gym.tools.view.entities import EpisodeLogger
 from acsar_gym.tools.view.show import RerunSink, find_recording, save_recording, start_viewer
@@ -169,7 +169,11 @@ def test_episode_logger_logs_what_happens(tape: Path, monkeypatch: pytest.Monkey
     tables["faults"] = np.array([(episode.start + 0.9, len(fault))], TABLES["faults"])
     tables["faults_bytes"] = np.frombuffer(fault, np.uint8)
 
-    assert log_texts(episode, monkeypatch) == [
+    lines: list[tuple[float, str, str]] = []
+    logger = EpisodeLogger(rerun.RecordingStream("test"), RobotConfig.of(None), {})
+    monkeypatch.setattr(logger, "log_lines", lines.extend)
+    logger.log(episode)
+    assert [text for _, text, _ in sorted(lines)] == [
         "begins",
         "late: 3 ticks, at worst by 50.0 ms",
         "emergency stop: held",
@@ -181,24 +185,11 @@ def test_episode_logger_logs_what_happens(tape: Path, monkeypatch: pytest.Monkey
     ]
 
 
-def log_texts(episode: Episode, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The log of an episode, in the order of time."""
-    lines: list[tuple[float, str, str]] = []
-    logger = EpisodeLogger(rerun.RecordingStream("test"), RobotConfig.of(None), {})
-    monkeypatch.setattr(logger, "log_lines", lines.extend)
-    logger.log(episode)
-    return [text for _, text, _ in sorted(lines)]
-
-
-@pytest.mark.parametrize("damage", ["", "no recording", "cut"])
-def test_save_recording_explains_what_cannot_be_shown(
-    damage: str, tape: Path, tmp_path: Path
-) -> None:
+def test_save_recording_writes_nothing_of_a_cut_file(tape: Path, tmp_path: Path) -> None:
     path = tmp_path / "bad.mcap"
-    path.write_bytes({"": b"", "no recording": b"x" * 99, "cut": tape.read_bytes()[:300]}[damage])
-    with pytest.raises(ConfigError) as error:
+    path.write_bytes(tape.read_bytes()[:300])
+    with pytest.raises(ConfigError, match=r"bad\.mcap: "):
         save_recording(path, tmp_path / "bad.rrd")
-    assert "\n" not in str(error.value)
     assert not (tmp_path / "bad.rrd").exists()
 
 
