@@ -35,7 +35,7 @@ class SceneChoice:
     """Presets, files, or robots drawn by number, each of which drives the scenes."""
     score: str = ""
     """Score of an episode that succeeds: "completion_time", "cross_track", "success", or a number
-    that the task reports. See `tools.benchmark.figures.score_episode`. An empty name is
+    that the task reports. See `tools.benchmark.plan.score_episode`. An empty name is
     "completion_time" if the task has a shortest path, otherwise "success"."""
 
 

@@ -4,33 +4,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from acsar_gym.tools.benchmark.agents import Agent
-from acsar_gym.tools.benchmark.plan import Cell, Place, Plan
+from acsar_gym.tools.baselines import load_baseline
+from acsar_gym.tools.benchmark.plan import Agent, Cell, Place, Plan
+from acsar_gym.tools.benchmark.report import CellResult, make_result
 from acsar_gym.tools.benchmark.scenes import find_sets
-from acsar_gym.tools.benchmark.table import CellResult, make_result
 from acsar_gym.tools.evaluation.episode import Episode
-from acsar_gym.tools.policies import FilePolicy
 
 ENV = "acsar_gym/PointGoal-v0"
 SCENES = find_sets(ENV)[0]
-
-
-class Idle(FilePolicy):
-    """A policy that stands still."""
-
-    path = Path("idle.onnx")
-    env_id = ENV
-
-    def __call__(self, observation: Any) -> Any:
-        return np.zeros(2, np.float32)
-
-
-IDLE = Idle()
+POLICY = load_baseline("turn_drive", ENV)
 
 
 def episode(number: int = 0, score: float = 0.9, **changes: Any) -> Episode:
@@ -51,7 +35,7 @@ def cell(
 ) -> Cell:
     """A cell of two scenes."""
     place = Place(SCENES.id, SCENES.name, link, condition)
-    return Cell(Agent(name, kind, ENV, IDLE, seed), SCENES, place)
+    return Cell(Agent(name, kind, ENV, POLICY, seed), SCENES, place)
 
 
 def driven(scores: Sequence[float] = (0.9, 0.8)) -> CellResult:

@@ -19,8 +19,7 @@ from job_tools import Job, broken, missing, square
 from acsar_gym.errors import AcsarError, MissingExtraError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import runner
-from acsar_gym.tools.benchmark.agents import choose_agents
-from acsar_gym.tools.benchmark.plan import Plan
+from acsar_gym.tools.benchmark.plan import Plan, choose_agents
 from acsar_gym.tools.benchmark.scenes import find_sets
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.jobs import run_jobs
@@ -34,7 +33,7 @@ def cluster() -> Iterator[Nodes]:
         yield running
 
 
-def test_jobs_run_on_both_nodes_and_their_results_come_in_order_of_completion(
+def test_run_jobs_on_both_nodes_yields_results_in_order_of_completion(
     cluster: Nodes, tmp_path: Path
 ) -> None:
     """The first job waits for the second's result, which only another CPU can compute."""
@@ -45,16 +44,16 @@ def test_jobs_run_on_both_nodes_and_their_results_come_in_order_of_completion(
     assert list(results) == [(0, 0)]
 
 
-def test_errors_are_those_of_one_process(cluster: Nodes, tmp_path: Path) -> None:
+def test_run_jobs_raises_the_errors_of_one_process(cluster: Nodes, tmp_path: Path) -> None:
     with pytest.raises(MissingExtraError, match="this job needs an extra"):
         list(run_jobs(missing, [1], address=cluster.address))
-    with pytest.raises(AcsarError, match=r"job 5: ZeroDivisionError.*job_tools\.py, line \d+\)"):
+    with pytest.raises(AcsarError, match=r"job 5: ZeroDivisionError.*--workers 1 shows where"):
         list(run_jobs(broken, [5], address=cluster.address))
     with pytest.raises(AcsarError, match="a process that ran a job ended"):
         list(run_jobs(square, [Job(7, tmp_path, deaths=99)], address=cluster.address))
 
 
-def test_a_closed_iterator_ends_running_jobs_in_good_order(cluster: Nodes, tmp_path: Path) -> None:
+def test_run_jobs_ends_running_jobs_if_it_is_closed(cluster: Nodes, tmp_path: Path) -> None:
     jobs = [Job(0, tmp_path), Job(1, tmp_path, waits=tmp_path / "never")]
     results: Any = run_jobs(square, jobs, address=cluster.address)
     assert next(results) == (0, 0)
@@ -64,7 +63,7 @@ def test_a_closed_iterator_ends_running_jobs_in_good_order(cluster: Nodes, tmp_p
     assert (tmp_path / "end-1").exists()
 
 
-def test_a_killed_node_costs_no_result_of_a_benchmark(
+def test_run_plan_loses_no_result_with_a_killed_node(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     sets = find_sets("acsar_gym/PointGoal-v0")
@@ -88,22 +87,17 @@ def test_a_killed_node_costs_no_result_of_a_benchmark(
     ]
 
 
-def command(*arguments: str | Path) -> list[str]:
+def command(cluster: Nodes, *arguments: str | Path) -> dict[str, Any]:
+    """What runs a small benchmark on a cluster, for `subprocess`."""
     small = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar")
-    return [sys.executable, "-m", "acsar_gym", "benchmark", *small, *map(str, arguments)]
+    options = [*small, *map(str, arguments), "--address", cluster.address]
+    texts = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return {"args": [sys.executable, "-m", "acsar_gym", "benchmark", *options], **texts}
 
 
-def test_the_command_runs_on_a_cluster_and_prints_nothing_of_ray(
-    cluster: Nodes, tmp_path: Path
-) -> None:
-    asked = ("--agents", "packaged", "--scenes", "20", "--out", tmp_path / "run")
-    ended = subprocess.run(
-        command(*asked, "--address", cluster.address),
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-    )
+def test_benchmark_on_a_cluster_prints_nothing_of_ray(cluster: Nodes, tmp_path: Path) -> None:
+    small = ("--agents", "packaged", "--scenes", "20", "--out", tmp_path / "run")
+    ended = subprocess.run(**command(cluster, *small), check=False, timeout=PATIENCE)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "ray" not in ended.stdout.lower()
     assert (tmp_path / "run" / runner.RESULT_FILE).exists()
@@ -124,17 +118,12 @@ def act(observation):
 """A policy that leaves a file when it has been called often enough for 20 episodes."""
 
 
-def test_ctrl_c_on_a_cluster_keeps_what_is_finished(cluster: Nodes, tmp_path: Path) -> None:
+def test_benchmark_on_a_cluster_ends_by_ctrl_c(cluster: Nodes, tmp_path: Path) -> None:
     policy = tmp_path / "idle.py"
     marker = tmp_path / "marker"
     policy.write_text(IDLE.format(calls=20 * 200, marker=str(marker)), encoding="utf-8")
-    asked = ("--agents", f"{policy}:act", "--scenes", "1000", "--out", tmp_path / "run")
-    running = subprocess.Popen(
-        command(*asked, "--address", cluster.address),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    large = ("--agents", f"{policy}:act", "--scenes", "1000", "--out", tmp_path / "run")
+    running = subprocess.Popen(**command(cluster, *large))
     while not marker.exists():
         assert running.poll() is None
         time.sleep(0.1)
@@ -146,19 +135,14 @@ def test_ctrl_c_on_a_cluster_keeps_what_is_finished(cluster: Nodes, tmp_path: Pa
     assert "Traceback" not in error
 
 
-def test_ray_of_this_machine_alone(tmp_path: Path) -> None:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+def test_run_jobs_on_a_cluster_of_its_own(tmp_path: Path) -> None:
     script = (
         "from job_tools import threads\nfrom acsar_gym.tools.jobs import run_jobs\n"
         "print(list(run_jobs(threads, ['OMP_NUM_THREADS'], workers=1, address='local')))\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        check=False,
-        capture_output=True,
-        text=True,
-        env=environment,
-    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    started = [sys.executable, "-c", script]
+    done = subprocess.run(started, check=False, capture_output=True, text=True, env=environment)
     assert (done.stdout, done.stderr) == ("[(0, '1')]\n", "")
 
 

@@ -8,11 +8,10 @@ other numbers. `constants.yaml` has those that a search found for the presets.
 from __future__ import annotations
 
 import functools
-import math
+import typing
 from abc import abstractmethod
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,14 +27,18 @@ from acsar_gym.tools.policies.policy import DecodedObservation, FilePolicy, Poli
 CONSTANTS_FILE = Path(__file__).with_name("constants.yaml")
 UNLIMITED = 1e3
 """Stands for an acceleration without a limit [m/s^2, rad/s^2]."""
+Radii = Annotated[float, "radius"]
+Speeds = Annotated[float, "speed"]
+YawRates = Annotated[float, "turning"]
+Periods = Annotated[float, "period"]
+"""Constants as multiples of a field of `RobotUnits`. Those of type float are in SI units."""
 
 
-@dataclass(frozen=True, slots=True)
-class RobotUnits:
-    """What the constants of the baselines are multiples of."""
+class RobotUnits(NamedTuple):
+    """The robot's limits, of which the constants of the baselines are multiples."""
 
     radius: float
-    """Of the disc around the footprint [m]."""
+    """Radius of the disc around the footprint [m]."""
     speed: float
     """Top speed [m/s]."""
     turning: float
@@ -54,6 +57,7 @@ class RobotUnits:
     @classmethod
     def of(cls, config: RobotConfig, period: float) -> RobotUnits:
         """Return the units of a robot that decides every `period` [s]."""
+        # The slowest motor limits all wheels.
         motors = [config.motor.of_wheel(wheel) for wheel in range(4)]
         ramp = min(motor.acceleration for motor in motors) * config.wheel_radius
         forward = read_limits(config.linear_limits, config.max_linear).max_acceleration
@@ -69,9 +73,18 @@ class RobotUnits:
             period=period,
         )
 
-    def steps(self, seconds: float, step: float) -> int:
-        """Number of steps of a duration [s] that are nearest to `seconds`, at least 1."""
-        return max(1, math.floor(seconds / step + 0.5))
+    def scale(self, constants: Any) -> Any:
+        """Return constants in SI units: each times the unit that its annotation names."""
+        # Numbers of type float are in SI units already.
+        hints = typing.get_type_hints(type(constants), include_extras=True)
+        units = {
+            name: getattr(self, hint.__metadata__[0])
+            for name, hint in hints.items()
+            if typing.get_origin(hint) is Annotated
+        }
+        return constants._replace(
+            **{name: getattr(constants, name) * unit for name, unit in units.items()}
+        )
 
 
 @functools.cache
@@ -87,6 +100,7 @@ def find_constants(planner: str, env_id: str, config: RobotConfig) -> dict[str, 
     Returns:
         Those that aren't the defaults, by name.
     """
+    # Versions of an id share constants, and so do robots that differ in mass or sensors.
     short = strip_module(env_id).rpartition("/")[2].partition("-")[0]
     shape = (config.outline, config.max_linear, config.max_angular)
     for name, constants in read_constants().get(planner, {}).get(short, {}).items():
@@ -99,7 +113,7 @@ def find_constants(planner: str, env_id: str, config: RobotConfig) -> dict[str, 
 class BaselinePolicy(FilePolicy):
     """Base class of the baselines: they decide from the same observations as a trained policy.
 
-    Beside them they know what any deployed policy may: the robot's config and map, the layout and
+    In addition they know what any deployed policy may: the robot's config and map, the layout and
     scales of the task, and its period (`setting`). A subclass of another package is named with its
     module, as in `--policy mine.module:Planner`. It has `act`, and `reset` if it remembers
     something.
@@ -114,10 +128,8 @@ class BaselinePolicy(FilePolicy):
     """Names of the task's numbers that it needs."""
     needs_in_words: ClassVar[tuple[str, str]] = ("a goal", "point_goal")
     """What these are in words, and an env that has them."""
-    lidar: ClassVar[bool] = False
-    """Whether it needs a LiDAR."""
-    constants_type: ClassVar[type | None] = None
-    """Dataclass of its constants. None if it has none."""
+    constants: Any = ()
+    """Its constants: of the class the defaults, see `RobotUnits`, of a policy in SI units."""
     env_named = True
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -136,11 +148,9 @@ class BaselinePolicy(FilePolicy):
         Raises:
             PolicyError: the task doesn't observe what the policy needs.
         """
-        setting.need(
-            self.name, (*self.needs, "linear_velocity", "angular_velocity"), *self.needs_in_words
-        )
-        if self.lidar:
-            setting.need(self.name, (), "a LiDAR", "obstacle_goal")
+        # Every baseline predicts the robot's motion from its velocities.
+        numbers = (*self.needs, "linear_velocity", "angular_velocity")
+        setting.need(self.name, numbers, *self.needs_in_words)
         self.equip(setting)
 
     def equip(self, setting: PolicyContext) -> None:
@@ -151,9 +161,9 @@ class BaselinePolicy(FilePolicy):
         """
         self.setting = setting
         self.units = RobotUnits.of(setting.config, setting.period)
-        if self.constants_type is not None:
+        if defaults := type(self).constants:
             constants = find_constants(self.name, self.env_id, setting.config)
-            self.constants: Any = self.constants_type(**constants)
+            self.constants = self.units.scale(defaults._replace(**constants))
 
     @abstractmethod
     def act(self, seen: DecodedObservation) -> tuple[float, float]:

@@ -50,6 +50,8 @@ class PurePursuit(BaselinePolicy):
         config = self.setting.config
         if x <= 0.0:  # the path lies behind: turn on the spot
             return 0.0, math.copysign(config.max_angular, y)
+
+        # Slow enough for the curve.
         curvature = 2.0 * y / max(x * x + y * y, 1e-6)
         turning_speed = TURN_SHARE * config.max_angular / max(abs(curvature), 1e-6)
         speed = min(config.max_linear, turning_speed)
@@ -65,10 +67,14 @@ def find_carrot(seen: DecodedObservation, lookahead: float) -> tuple[float, floa
     error = seen.heading_error
     offset = seen.cross_track
     foot = (-offset * math.sin(error), -offset * math.cos(error))  # the nearest point of the path
+
+    # The first segment that leaves the circle of the lookahead, and where it does.
     line = np.vstack([foot, np.zeros((0, 2)) if seen.points is None else seen.points])
     for (ax, ay), (bx, by) in zip(line[:-1].tolist(), line[1:].tolist(), strict=True):
         if math.hypot(bx, by) < lookahead:
             continue
+
+        # a + share e is on the circle: a quadratic equation, whose larger root is that ahead.
         ex = bx - ax
         ey = by - ay
         square = ex * ex + ey * ey
@@ -76,6 +82,7 @@ def find_carrot(seen: DecodedObservation, lookahead: float) -> tuple[float, floa
         if square < 1e-12:
             continue
 
+        # A path that starts outside never crosses it from within.
         root = along * along - square * (ax * ax + ay * ay - lookahead * lookahead)
         share = (-along + math.sqrt(max(root, 0.0))) / square
         share = min(max(share, 0.0), 1.0)

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.errors import PolicyError
-from acsar_gym.jit import loop
+from acsar_gym.jit import jit, loop
 from acsar_gym.lidar.scan import ray_spec
 from acsar_gym.sensors.map.seen import CELL_SHIFT, CELLS, LAST_CELL, cell_centre
 from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.worlds.geometry import Surroundings, footprint_gap, make_surroundings, outer_radius
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
@@ -31,38 +32,20 @@ TRACK_MARGIN = 0.15
 """Obstacles that are no farther from a mover's hull belong to it [m]."""
 
 
-@loop
-def polygon_distance(x: float, y: float, sides: Floats) -> float:
-    """Distance of a point from a convex polygon, (sides, 4). 0 inside [m]."""
-    nearest = np.inf
-    is_inside = True
-    for n in range(len(sides)):
-        start_x = sides[n, 0]
-        start_y = sides[n, 1]
-        side_x = sides[n, 2] - start_x
-        side_y = sides[n, 3] - start_y
-
-        share = (x - start_x) * side_x + (y - start_y) * side_y
-        share = share / (side_x * side_x + side_y * side_y)
-        share = min(max(share, 0.0), 1.0)
-        dx = x - start_x - share * side_x
-        dy = y - start_y - share * side_y
-        nearest = min(nearest, dx * dx + dy * dy)
-        is_inside = is_inside and side_x * (y - start_y) >= side_y * (x - start_x)
-    return 0.0 if is_inside else math.sqrt(nearest)
+@jit
+def blend_of(seconds: float, lag: float) -> float:
+    """Share of the way to a command that motors of a time constant go in some time [s]."""
+    return 1.0 - math.exp(-seconds / lag) if lag > 0.0 else 1.0
 
 
 @loop
-def points_clearance(
-    pose: Pose, points: Floats, sides: Floats, outer: float, limit: float
-) -> float:
+def footprint_clearance(pose: Pose, points: Floats, footprint: Surroundings, limit: float) -> float:
     """Distance of the footprint at a pose from the nearest point.
 
     Args:
         pose: Pose of the robot.
         points: (n, 2), in the same frame as the pose [m].
-        sides: Sides of the footprint, (sides, 4), in the base frame [m].
-        outer: Radius of the disc around the footprint [m].
+        footprint: Footprint of the robot.
         limit: Points that are farther away don't count [m].
 
     Returns:
@@ -71,13 +54,14 @@ def points_clearance(
     x, y, theta = pose
     cos = math.cos(theta)
     sin = math.sin(theta)
+    outer = outer_radius(footprint, 0)
     nearest = limit
     for n in range(len(points)):
         dx = points[n, 0] - x
         dy = points[n, 1] - y
         reach = outer + nearest
         if dx * dx + dy * dy < reach * reach:
-            gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, sides)
+            gap, _, _ = footprint_gap(dx * cos + dy * sin, dy * cos - dx * sin, footprint, 0)
             nearest = min(nearest, gap)
     return nearest
 
@@ -100,7 +84,6 @@ class MappedPolicy(BaselinePolicy):
 
     needs = GOAL_NUMBERS
     needs_in_words = ("a goal", "obstacle_goal")
-    lidar = True
     follows_movers: ClassVar[bool] = False
     """Whether it uses the tracks of the map."""
 
@@ -113,13 +96,11 @@ class MappedPolicy(BaselinePolicy):
         super().equip(setting)
         if setting.map is None:
             raise PolicyError(
-                f"{self.name}: needs a map, which {setting.task} doesn't observe: use --env "
-                "obstacle_goal, or another policy"
+                f"{self.name}: needs a LiDAR and its map, which {setting.task} doesn't observe: "
+                "use --env obstacle_goal, or another policy"
             )
         self.map: MapSensor = setting.map
-        corners = np.array(setting.config.outline)
-        self.sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-        self.outer = self.units.radius
+        self.footprint = make_surroundings(None, None, setting.config)
         self._angles = ray_spec(setting.config).angles()
         self.reset()
 
@@ -154,6 +135,7 @@ class MappedPolicy(BaselinePolicy):
         The newest scan, and the newest place of what was met in each cell of the map, as cells are
         too coarse for a footprint that passes within centimetres.
         """
+        # The scan, without rays that have met nothing.
         x, y, theta = pose
         config = self.setting.config
         cos = math.cos(theta)
@@ -162,7 +144,7 @@ class MappedPolicy(BaselinePolicy):
             x + cos * config.lidar_x_offset - sin * config.lidar_y_offset,
             y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
         )
-        ranges = np.zeros(0) if seen.ranges is None else seen.ranges
+        ranges = np.array(seen.ranges)
         along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
         scan = (origin + ranges[:, None] * along)[ranges < config.lidar.max_range - 1e-3]
 

@@ -16,7 +16,6 @@ The frame is that of the robot when a command takes effect.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +24,7 @@ from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import PolicyError
 from acsar_gym.jit import jit, loop
 from acsar_gym.tasks.state import Floats
+from acsar_gym.tools.baselines.base import Periods, Radii, RobotUnits, Speeds
 from acsar_gym.tools.baselines.half_planes import BOX, A, B, C, make_box, solve_programme
 from acsar_gym.tools.baselines.mapped import (
     NO_TRACKS,
@@ -35,11 +35,12 @@ from acsar_gym.tools.baselines.mapped import (
     Pose,
     X,
     Y,
+    blend_of,
     to_base,
 )
-from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
+from acsar_gym.tools.policies.policy import DecodedObservation
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds.geometry import Surroundings, footprint_gap, make_surroundings
+from acsar_gym.worlds.geometry import Surroundings, footprint_gap
 
 LAG_STEPS = 4
 """Steps in which the robot's motion until a command takes effect is predicted."""
@@ -47,8 +48,7 @@ ACROSS = 0.05
 """Half planes whose border is so nearly parallel to the heading don't limit the speed."""
 
 
-@dataclass(frozen=True)
-class OrcaConstants:
+class OrcaConstants(NamedTuple):
     """Constants of ORCA. `constants.yaml` has those of the presets."""
 
     horizon: float = 2.0
@@ -58,35 +58,19 @@ class OrcaConstants:
     share: float = 1.0
     """Share of the avoidance that the robot takes: 0.5 if others take the rest."""
     mover_margin: float = 0.2
-    """Margin of the disc around the footprint [radius]."""
-    wall_margin: float = 0.1
+    """Margin of the disc around the footprint, as a share of its radius."""
+    wall_margin: Radii = 0.1
     """Least clearance from obstacles [radius]."""
-    lookahead: float = 3.0
+    lookahead: Radii = 3.0
     """Distance along the way of the point that the robot heads for [radius]."""
-    delay: float = 1.5
+    delay: Periods = 1.5
     """Time until a command takes effect [period]."""
     turn_gain: float = 3.0
     """Yaw rate for a velocity whose bearing is 1 rad [1/s]."""
-    reverse_share: float = 0.4
+    reverse_share: Speeds = 0.4
     """Greatest speed backwards [top speed]."""
     reverse_bearing: float = 1.75
     """The robot backs off slowly if the bearing is larger [rad]."""
-
-
-class VelocityModel(NamedTuple):
-    """The constants on velocities, in SI units."""
-
-    radius: float
-    """Of the disc around the footprint, margin included [m]."""
-    horizon: float
-    """[s]."""
-    wall_horizon: float
-    """[s]."""
-    wall_margin: float
-    """[m]."""
-    share: float
-    period: float
-    """Within which the robot leaves a mover that it touches [s]."""
 
 
 class Orca(MappedPolicy):
@@ -94,60 +78,45 @@ class Orca(MappedPolicy):
 
     name = "orca"
     follows_movers = True
-    constants_type = OrcaConstants
-    constants: OrcaConstants
-
-    def equip(self, setting: PolicyContext) -> None:
-        """Prepare for a robot and a task."""
-        super().equip(setting)
-        units = self.units
-        k = self.constants
-        self._model = VelocityModel(
-            radius=(1.0 + k.mover_margin) * units.radius,
-            horizon=k.horizon,
-            wall_horizon=k.wall_horizon,
-            wall_margin=k.wall_margin * units.radius,
-            share=k.share,
-            period=units.period,
-        )
-        self._footprint = make_surroundings(None, None, setting.config)
+    constants = OrcaConstants()
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the velocity command [m/s, rad/s]."""
         units = self.units
         k = self.constants
-        delay = k.delay * units.period
         twist = (seen.linear, seen.angular)
-        pose_then, speed = predict_pose(pose, twist, self.sent, units.lag, delay)
+        pose_then, speed = predict_pose(pose, twist, self.sent, units.lag, k.delay)
 
         # What obstacles and movers leave of the velocities.
         tracks = self.tracks()
-        reach = units.speed * (k.wall_horizon + delay) + units.radius + self._model.wall_margin
+        reach = units.speed * (k.wall_horizon + k.delay) + units.radius + k.wall_margin
         points = to_base(pose_then, self.obstacles(pose, seen, reach, tracks))
-        moved = tracks[:, X:RATE_X] + delay * tracks[:, RATE_X:RADIUS]
+        moved = tracks[:, X:RATE_X] + k.delay * tracks[:, RATE_X:RADIUS]
         rates = to_base((0.0, 0.0, pose_then[2]), tracks[:, RATE_X:RADIUS])
         movers = np.column_stack([to_base(pose_then, moved), rates, tracks[:, RADIUS]])
-        planes, walls = list_planes(speed, points, movers, self._model, self._footprint)
+        hard = BOX + len(points)
+        planes = np.zeros((hard + len(movers), 3))
+        forbid_walls(planes[BOX:hard], points, k, self.footprint)
+        forbid_movers(planes[hard:], movers, speed, k, units)
 
         # The velocity within them that is nearest to the velocity along the way.
         make_box((-units.speed, units.speed), (-units.speed, units.speed), planes)
-        carrot = np.array([self.map.point_ahead(k.lookahead * units.radius)])
-        ((x, y),) = to_base(pose_then, carrot).tolist()
+        x, y = self.carrot(pose_then, k.lookahead)
         share = units.speed / max(math.hypot(x, y), 1e-6)
-        vx, vy = solve_programme(planes, BOX + walls, share * x, share * y)
+        vx, vy = solve_programme(planes, hard, share * x, share * y)
 
         # The command: turn towards it, or away from it to back off.
         bearing = math.atan2(vy, vx)
         fast = math.hypot(vx, vy)
         direction = 1.0
-        if abs(bearing) > k.reverse_bearing and fast <= k.reverse_share * units.speed:
+        if abs(bearing) > k.reverse_bearing and fast <= k.reverse_share:
             bearing = math.remainder(bearing + math.pi, math.tau)
             direction = -1.0
         turn = min(max(k.turn_gain * bearing, -units.turning), units.turning)
         wanted = direction * fast * max(math.cos(bearing), 0.0)
         planes = planes_along(planes, units.period * turn)
-        make_box((-k.reverse_share * units.speed, units.speed), (0.0, 0.0), planes)
-        speed, _ = solve_programme(planes, BOX + walls, wanted, 0.0)
+        make_box((-k.reverse_share, units.speed), (0.0, 0.0), planes)
+        speed, _ = solve_programme(planes, hard, wanted, 0.0)
         return speed, turn
 
 
@@ -205,7 +174,7 @@ def predict_pose(
     x, y, theta = pose
     linear, angular = twist
     step = seconds / LAG_STEPS
-    blend = 1.0 - math.exp(-step / lag) if lag > 0.0 else 1.0
+    blend = blend_of(step, lag)
 
     for _ in range(LAG_STEPS):
         linear += blend * (sent[0] - linear)
@@ -217,35 +186,28 @@ def predict_pose(
 
 
 @loop
-def list_planes(
-    speed: float, points: Floats, movers: Floats, model: VelocityModel, footprint: Surroundings
-) -> tuple[Floats, int]:
-    """List the half planes of velocities that obstacles leave, in the base frame.
+def forbid_walls(
+    planes: Floats, points: Floats, constants: OrcaConstants, footprint: Surroundings
+) -> None:
+    """Write the half planes that obstacles leave, (n, 3), in the base frame.
 
     Args:
-        speed: Speed of the robot [m/s].
+        planes: Where they are written.
         points: (n, 2): obstacles [m].
-        movers: (m, 5): x, y [m], their rates [m/s], and radius [m].
-        model: The constants.
+        constants: The constants in SI units.
         footprint: Footprint of the robot.
-
-    Returns:
-        (BOX + n + m, 3): the half planes, the first BOX of which are still to be written, and n.
     """
-    planes = np.zeros((BOX + len(points) + len(movers), 3))
     for n in range(len(points)):
         x = points[n, 0]
         y = points[n, 1]
         gap, at_x, at_y = footprint_gap(x, y, footprint, 0)
+
+        # An obstacle within the footprint pushes the robot's centre away.
         if gap == 0.0:
             at_x = at_y = 0.0
         distance = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2) + 1e-9
-        fastest = max(gap - model.wall_margin, 0.0) / model.wall_horizon
-        write_plane(planes[BOX + n], (at_x - x) / distance, (at_y - y) / distance, -fastest)
-
-    for m in range(len(movers)):
-        forbid_meeting(planes[BOX + len(points) + m], movers[m], speed, model)
-    return planes, len(points)
+        fastest = max(gap - constants.wall_margin, 0.0) / constants.wall_horizon
+        write_plane(planes[n], (at_x - x) / distance, (at_y - y) / distance, -fastest)
 
 
 @jit
@@ -256,37 +218,48 @@ def write_plane(plane: Floats, a: float, b: float, c: float) -> None:
     plane[C] = c
 
 
-@jit
-def forbid_meeting(plane: Floats, mover: Floats, speed: float, model: VelocityModel) -> None:
-    """Write the half plane that a mover leaves to a robot of that speed, section 4 of the paper."""
-    x = mover[X]
-    y = mover[Y]
-    radius = model.radius + mover[RADIUS]
-    square = x * x + y * y
-    is_near = square <= radius * radius
-    horizon = model.period if is_near else model.horizon
+@loop
+def forbid_movers(
+    planes: Floats, movers: Floats, speed: float, constants: OrcaConstants, units: RobotUnits
+) -> None:
+    """Write the half planes that movers leave to a robot of that speed, section 4 of the paper.
 
-    # The velocity relative to the mover, and to the centre of the cap of forbidden velocities.
-    vx = speed - mover[RATE_X]
-    vy = -mover[RATE_Y]
-    wx = vx - x / horizon
-    wy = vy - y / horizon
-    along = wx * x + wy * y
-    from_cap = wx * wx + wy * wy
+    Args:
+        planes: Where they are written, (m, 3).
+        movers: (m, 5): x, y [m], their rates [m/s], and radius [m], in the base frame.
+        speed: Speed of the robot [m/s].
+        constants: The constants in SI units.
+        units: Limits of the robot.
+    """
+    for m in range(len(movers)):
+        x = movers[m, X]
+        y = movers[m, Y]
+        radius = (1.0 + constants.mover_margin) * units.radius + movers[m, RADIUS]
+        square = x * x + y * y
+        is_near = square <= radius * radius
+        horizon = units.period if is_near else constants.horizon  # touching ends at once
 
-    # The nearest border: of the cap, or of one of the legs.
-    if is_near or (along < 0.0 and along * along > radius * radius * from_cap):
-        length = math.sqrt(from_cap) + 1e-9
-        a = wx / length
-        b = wy / length
-        push = radius / horizon - length
-    else:
-        side = 1.0 if x * wy - y * wx > 0.0 else -1.0
-        leg = side * math.sqrt(square - radius * radius)
-        a = -(x * radius + y * leg) / square
-        b = (x * leg - y * radius) / square
-        push = -(a * vx + b * vy)
-    write_plane(plane, a, b, a * speed + model.share * push)
+        # The velocity relative to the mover, and to the centre of the cap of forbidden velocities.
+        vx = speed - movers[m, RATE_X]
+        vy = -movers[m, RATE_Y]
+        wx = vx - x / horizon
+        wy = vy - y / horizon
+        along = wx * x + wy * y
+        from_cap = wx * wx + wy * wy
+
+        # The nearest border: of the cap, or of one of the legs.
+        if is_near or (along < 0.0 and along * along > radius * radius * from_cap):
+            length = math.sqrt(from_cap) + 1e-9
+            a = wx / length
+            b = wy / length
+            push = radius / horizon - length
+        else:
+            side = 1.0 if x * wy - y * wx > 0.0 else -1.0
+            leg = side * math.sqrt(square - radius * radius)
+            a = -(x * radius + y * leg) / square
+            b = (x * leg - y * radius) / square
+            push = -(a * vx + b * vy)
+        write_plane(planes[m], a, b, a * speed + constants.share * push)
 
 
 @loop

@@ -2,21 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import acsar_gym
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, show_value, suggest_name
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
-from acsar_gym.resources import PACKAGE, hash_sources
+from acsar_gym.resources import AGENTS, PACKAGE, hash_modules, hash_sources
+from acsar_gym.sensors import MOVERS
+from acsar_gym.tasks import Task
+from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.options import check_names
-from acsar_gym.tools.benchmark.agents import Agent
-from acsar_gym.tools.benchmark.figures import Scoring
-from acsar_gym.tools.benchmark.scenes import GIVEN, SceneSet, make_planar
-from acsar_gym.tools.evaluation.runs import EpisodeJob, send_policy
+from acsar_gym.tasks.task import info_names, says_shortest_path
+from acsar_gym.tools.baselines import AMONG_MOVERS, BASELINES, PRIVILEGED_BASELINES
+from acsar_gym.tools.benchmark.scenes import (
+    COMPLETION_TIME,
+    GIVEN,
+    SUCCESS,
+    SceneSet,
+    make_planar,
+    short_id,
+)
+from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.runs import EpisodeJob, load_policy, send_policy
+from acsar_gym.tools.policies import CallablePolicy, FilePolicy, is_callable
 
 NOMINAL = "nominal"
 ROS2 = "ros2"
@@ -53,6 +69,205 @@ CONDITIONS: dict[str, Condition] = {
 """Conditions by name. Rates are in Hz, the delay in s, all others are shares."""
 
 
+CROSS_TRACK = "cross_track"
+WORST_CROSS_TRACK = 0.1
+"""Mean cross-track error from which on following a path scores nothing [m]."""
+
+
+def check_score(task: Task, name: str) -> None:
+    """Raise ConfigError unless a task's episodes can be scored so."""
+    if name == COMPLETION_TIME and not says_shortest_path(task):
+        raise ConfigError(
+            f"{task_name(task)}: score {COMPLETION_TIME!r}: the task has no method "
+            "shortest_path(): write one, or score 'success'"
+        )
+    names = (COMPLETION_TIME, CROSS_TRACK, SUCCESS, *info_names(task))
+    check_names(f"{task_name(task)}: score {{}}", [name], names)
+
+
+def score_episode(episode: Episode, name: str, *, top_speed: float, tolerance: float) -> float:
+    """Return the score of an episode, 0 without success.
+
+    COMPLETION_TIME is success weighted by completion time (Yokoyama, Ha & Batra 2021): T* / max(T,
+    T*), where T is the time that it took, and T* that of the shortest path, up to the goal's
+    tolerance, at the robot's top speed. It is 1 if the shortest path isn't known. CROSS_TRACK is 1
+    minus the mean cross-track error / 10 cm, SUCCESS 1. Any other name is that of a number which
+    the task reports at the end, such as "barn_score".
+
+    Args:
+        episode: The episode.
+        name: Name of the score, see `check_score`.
+        top_speed: Top speed of the robot [m/s].
+        tolerance: Distance to the goal that is a success [m].
+    """
+    # Every failure counts as 0, so that agents which give up early gain nothing.
+    if not episode.success:
+        return 0.0
+    if name == CROSS_TRACK:
+        return max(0.0, 1.0 - episode.cross_track / WORST_CROSS_TRACK)
+    if name not in (COMPLETION_TIME, SUCCESS):
+        return episode.told[name]
+    if name == SUCCESS or math.isnan(episode.shortest):
+        return 1.0
+
+    # The robot has arrived when the goal is as near as the tolerance.
+    fastest = max(episode.shortest - tolerance, 0.0) / top_speed
+    return fastest / max(episode.time, fastest, 1e-9)
+
+
+PACKAGED = "packaged"
+"""Name of the agent that consists of the policies of this package."""
+LEARNED = "learned"
+BASELINE = "baseline"
+PRIVILEGED = "privileged"
+"""Kinds of agents. A privileged agent is a baseline that knows the simulator's truth."""
+MAX_NAME_LENGTH = 60
+"""Most characters of an agent's name, so that tables stay readable."""
+Sources = list[tuple[int | None, str]]
+"""Training seeds, and what `load_policy` takes."""
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A policy that drives on an id: a training seed of a named agent."""
+
+    name: str
+    kind: str
+    """ "learned", "baseline" or "privileged"."""
+    env: str
+    """Id of the env, with the module that registers it if the user named that."""
+    policy: FilePolicy = field(repr=False)
+    training_seed: int | None = None
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """What results contain about it."""
+        return {
+            "kind": self.kind,
+            "id": short_id(self.env),
+            "training_seed": self.training_seed,
+            "file": self.policy.path.name,
+            "sha256": _hash_policy(self.policy),
+        }
+
+
+def _hash_policy(policy: FilePolicy) -> str | None:
+    """Hash a policy's file, or the source of its code and of the user's modules that it imports."""
+    if not isinstance(policy, CallablePolicy) or policy.instance is not None:
+        return policy.sha256
+
+    # Code may import modules of the user, whose changes matter as well.
+    path = policy.path
+    module = f"acsar_gym_policy_{path.stem}" if path.suffix == ".py" else f"{path}".split(":")[0]
+    return hash_modules(module)
+
+
+def choose_agents(
+    names: Sequence[str], sets: Sequence[SceneSet], trained: Path | None, seeds: int
+) -> list[Agent]:
+    """Find agents by their names.
+
+    Args:
+        names: "packaged", baselines, folders in `trained`, ONNX files, and functions or classes
+            such as mine.planner:Planner. If there are none, those of the first three that can
+            drive, without baselines that know the simulator's truth.
+        sets: Scenes that they drive.
+        trained: Folder with NAME/SEED/policy.onnx. None for none.
+        seeds: Most training seeds of each.
+
+    Raises:
+        ConfigError: A named agent doesn't exist, or has no policy for the id of a set.
+        PolicyError: A policy can't be loaded.
+    """
+    envs = list(dict.fromkeys(scenes.env for scenes in sets))
+    packaged = sorted((AGENTS / "policies").glob("*.onnx"))
+    files: dict[str, Sources] = {PACKAGED: [(None, str(file)) for file in packaged]}
+    for name, sources in find_trained(trained).items() if trained is not None else ():
+        files[name] = sources[:seeds]
+
+    # An agent that the user named must drive in every set: a missing row is easily overlooked.
+    agents: list[Agent] = []
+    for name in dict.fromkeys(names or [*files, *BASELINES]):
+        chosen = list(_load_agents(name, files, envs))
+        if not names:
+            chosen = [agent for agent in chosen if _is_default(agent)]
+        for scenes in sets if names else ():
+            if scenes.env not in [agent.env for agent in chosen]:
+                raise ConfigError(
+                    f"--agents {name}: has no policy for {scenes.id} of set {scenes.name}: name "
+                    "other --sets, or leave it out"
+                )
+        agents += chosen
+
+    # Rows are named after agents.
+    counts = Counter((agent.name, agent.env, agent.training_seed) for agent in agents)
+    for (name, env_id, _), count in counts.items():
+        if count > 1:
+            raise ConfigError(
+                f"--agents: {count} of them are called {show_value(name)} on {env_id}: rename a "
+                "file, function or class"
+            )
+    return agents
+
+
+def _load_agents(name: str, files: dict[str, Sources], envs: Sequence[str]) -> Iterator[Agent]:
+    """Load an agent for each id that it drives."""
+    # A name is that of a folder or a baseline, or means a policy of the user.
+    label = name
+    kind = LEARNED
+    sources: Sources = [(None, name)]
+    if name in files:
+        sources = files[name]
+    elif name in BASELINES:
+        kind = PRIVILEGED if name in PRIVILEGED_BASELINES else BASELINE
+    elif ":" in name or Path(name).suffix in (".py", ".onnx"):
+        path, _, function = name.rpartition(":")
+        is_file = not path or Path(path).suffix == ".py"
+        label = Path(path or name).stem if is_file else function
+    else:
+        raise ConfigError(
+            f"--agents {show_value(name)}{suggest_name(name[:40], [*files, *BASELINES])}"
+        )
+
+    # A policy drives on the id that it names. Baselines, and code that names none, drive on all.
+    for seed, source in sources:
+        named_id = "" if kind != LEARNED else _read_id(source, envs[0])
+        for env_id in envs:
+            if named_id in ("", short_id(env_id)):  # only users name ids of other packages
+                policy = load_policy(source, trust=False, env=env_id)
+                yield Agent(label[:MAX_NAME_LENGTH], kind, env_id, policy, seed)
+
+
+def _read_id(source: str, env_id: str) -> str:
+    """Return the id that a policy is for. Empty for code that names none."""
+    if is_callable(source):
+        return short_id(CallablePolicy(source, env_id).said_id)
+    return short_id(load_policy(source, trust=False).env_id)
+
+
+def _is_default(agent: Agent) -> bool:
+    """Whether an agent drives if none are named."""
+    if agent.name in AMONG_MOVERS:
+        return any(sensor.name == MOVERS for sensor in make_planar(agent.env).sensors)
+    return agent.kind != PRIVILEGED
+
+
+def find_trained(folder: Path) -> dict[str, Sources]:
+    """Find trained policies, `folder`/NAME/SEED/policy.onnx: seeds and files by name, in order."""
+    files: dict[str, Sources] = {}
+    # The name of the folder is the name of the agent, the number in that below it the seed.
+    for file in sorted(folder.glob("*/*/policy.onnx")):
+        digits = re.findall(r"\d+", file.parent.name)
+        if not digits:
+            raise ConfigError(
+                f"{file}: its folder must be named after the seed, such as 0 or seed-0"
+            )
+        files.setdefault(file.parts[-3], []).append((int(digits[-1]), str(file)))
+    if not files:
+        raise ConfigError(f"--trained {folder}: holds no NAME/SEED/policy.onnx")
+    return {name: sorted(sources) for name, sources in files.items()}
+
+
 class Place(NamedTuple):
     """What agents that are compared share."""
 
@@ -79,18 +294,25 @@ class Cell:
         seed = self.agent.training_seed
         return {"agent": self.agent.name, "training_seed": seed, **self.place._asdict()}
 
-    @property
-    def scoring(self) -> Scoring:
-        """How its episodes are scored. ConfigError if the task doesn't report the score."""
-        task = make_planar(self.scenes.env).task
-        return Scoring.of(task, self.scenes.score, self.scenes.config.max_linear)
+    def score(self, episodes: Sequence[Episode]) -> list[Episode]:
+        """Return episodes of the cell with their scores."""
+        top_speed = self.scenes.config.max_linear
+        tolerance = make_planar(self.scenes.env).task.goal_tolerance
+        scores = [
+            score_episode(episode, self.scenes.score, top_speed=top_speed, tolerance=tolerance)
+            for episode in episodes
+        ]
+        return [replace(e, score=score) for e, score in zip(episodes, scores, strict=True)]
 
     @property
     def job(self) -> EpisodeJob:
         """The job of its episodes."""
+        # A condition changes the robot, the physics, or the wire.
         condition = CONDITIONS[self.place.condition]
         config = self.scenes.config.with_(**condition.changes)
         level = condition.randomization
+
+        # None leaves an option to the env.
         options = {
             "worlds": self.scenes.worlds,
             "difficulty": self.scenes.difficulty,
@@ -122,8 +344,8 @@ class Plan:
         check_names("--conditions {}", self.conditions, CONDITIONS)
         if ROS2 in self.links and self.conditions != (NOMINAL,):
             raise ConfigError("--links ros2: drives under the condition nominal only")
-        for cell in self.cells():
-            cell.scoring  # noqa: B018 - a missing score is an error before anything drives
+        for scenes in self.sets:  # a missing score is an error before anything drives
+            check_score(make_planar(scenes.env).task, scenes.score)
 
     def count_scenes(self, scenes: SceneSet) -> int:
         """Return how many scenes of a set are driven."""

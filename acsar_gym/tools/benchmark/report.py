@@ -1,35 +1,175 @@
-"""The table of a benchmark: in the terminal, as CSV, LaTeX, a figure and an HTML page."""
+"""The result of a benchmark, and its table: as text, CSV, LaTeX, a figure and an HTML page.
+
+Intervals of scores and means are those of the bootstrap over training seeds and scenes, see
+`metrics.bootstrap_interval`. An agent without training has one seed.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.table import Table
 
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError, check_extra
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import page
-from acsar_gym.tools.benchmark.plan import NOMINAL, ROS2
-from acsar_gym.tools.evaluation import report
-from acsar_gym.tools.evaluation.metrics import find_figure
+from acsar_gym.tools.benchmark.plan import BASELINE, NOMINAL, ROS2, Cell, Place
+from acsar_gym.tools.evaluation import provenance, report
+from acsar_gym.tools.evaluation.episode import Episode
+from acsar_gym.tools.evaluation.metrics import (
+    bootstrap_interval,
+    find_figure,
+    measure_figures,
+    replace_nonfinite,
+)
 from acsar_gym.tools.evaluation.report import Row
 
 LINK_NAMES = {name: body.title for name, body in BODIES.items()} | {ROS2: "ROS 2"}
 TEXT_COLUMNS = ("scenes", "agent", "link", "condition")
 MAIN_FIGURES = ("score", "success_rate", "person_collision_rate")
 DIFFERENCES = {"score": ("score difference", 1.0, 3), "success": ("success [points]", 100.0, 1)}
-"""Heading, factor and digits of the differences to the best baseline."""
+"""Fields of `Episode` by whose means agents are compared with the best baseline: heading, factor
+and digits of the differences."""
 INTRODUCTION = (
     "Every agent drives the same scenes with the same seeds. The mean score counts every failure "
     "as 0. Differences are those to the best baseline, in pairs of episodes, in units of the score "
     f"and in points of the success rate. {report.INTERVAL_NOTE} {report.PEOPLE_NOTE}"
 )
+
+
+BENCHMARK_SCHEMA = 6
+"""Version of `benchmark.json`."""
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """The episodes of a cell, in the order of its scenes."""
+
+    episodes: list[Episode] = field(default_factory=list)
+    seconds: float = 0.0
+    """CPU time that it took [s]."""
+    refused: str = ""
+    """Why the agent couldn't drive there. Empty if it did."""
+
+
+@dataclass
+class AgentRow:
+    """An agent at a place, over all its training seeds."""
+
+    agent: str
+    kind: str
+    place: Place
+    seeds: list[int | None] = field(default_factory=list)
+    groups: list[list[Episode]] = field(default_factory=list)
+    """Episodes of each training seed that drove."""
+    refused: str = ""
+
+    def matrix(self, name: str) -> NDArray[np.float64]:
+        """Return a field of `Episode`, (training seeds, scenes)."""
+        return np.array([[getattr(e, name) for e in group] for group in self.groups], np.float64)
+
+    def mean(self, name: str) -> float:
+        """Return the mean of a field over all episodes."""
+        return float(self.matrix(name).mean()) if self.groups else 0.0
+
+    def as_dict(self, rivals: Sequence[AgentRow]) -> dict[str, Any]:
+        """Return figures, intervals and differences to the best baseline of `rivals`, for JSON."""
+        about = {"agent": self.agent, "kind": self.kind, **self.place._asdict()}
+
+        # An agent that couldn't drive has a row without figures.
+        about["refused"] = "" if self.groups else self.refused
+        if not self.groups:
+            return about
+        return about | {
+            "training_seeds": self.seeds,
+            "episodes": sum(map(len, self.groups)),
+            **measure_figures(self.groups),
+            "seed_scores": self.matrix("score").mean(axis=1).tolist(),
+            "seed_success": self.matrix("success").mean(axis=1).tolist(),
+            "differences": {name: self._compare(name, rivals) for name in DIFFERENCES},
+        }
+
+    def _compare(self, name: str, rivals: Sequence[AgentRow]) -> dict[str, Any] | None:
+        """Compare with the best baseline, in pairs of episodes of the same scene and seed.
+
+        Of baselines that succeed equally often, the best has the highest score. None if there is
+        no other baseline.
+        """
+        # Agents that know the simulator's truth are no baselines.
+        baselines = [row for row in rivals if row.kind == BASELINE and row.groups]
+        best = max(baselines, key=lambda row: (row.mean(name), row.mean("score")), default=self)
+        if best is self:
+            return None
+
+        # A baseline has one seed, with which each training seed is compared.
+        differences = self.matrix(name) - best.matrix(name)[:1]
+        return {
+            "over": best.agent,
+            "difference": float(differences.mean()),
+            "interval": bootstrap_interval(differences),
+        }
+
+
+def make_rows(cells: Mapping[Cell, CellResult]) -> list[AgentRow]:
+    """Group cells to rows, of all training seeds of an agent, the best score of a place first."""
+    # Training seeds of an agent share its row, refused or not.
+    rows: dict[tuple[Place, str], AgentRow] = {}
+    for cell, result in cells.items():
+        agent = cell.agent
+        row = AgentRow(agent.name, agent.kind, cell.place)
+        row = rows.setdefault((cell.place, agent.name), row)
+        row.refused = row.refused or result.refused
+
+        # A seed that couldn't drive has no episodes, and doesn't count.
+        if result.episodes:
+            row.seeds.append(agent.training_seed)
+            row.groups.append(result.episodes)
+
+    # The order of the plan, and the best agent first.
+    places = list(dict.fromkeys(place for place, _ in rows))
+    return sorted(rows.values(), key=lambda row: (places.index(row.place), -row.mean("score")))
+
+
+def make_result(plan: Mapping[str, Any], cells: Mapping[Cell, CellResult]) -> dict[str, Any]:
+    """Compute the content of `benchmark.json`.
+
+    Args:
+        plan: The plan, as `Plan.as_dict`.
+        cells: The cells and their results.
+
+    Returns:
+        | key | content |
+        |---|---|
+        | `schema` | `BENCHMARK_SCHEMA` |
+        | `header` | `versions`, and the plan: `scenes`, by id and set (`robot`, `score`, |
+        | | `sha256`, ...), `agents`, by name, `conditions`, by name, `links` |
+        | `cells` | a list: agent, training seed and place, `refused` (why it couldn't drive, |
+        | | else ""), `seconds`, and `episodes`: the fields of every `Episode` |
+        | `rows` | figures over all training seeds of an agent at a place, with `intervals`, |
+        | | and `differences` of score and success to the best baseline in the same scenes |
+    """
+    rows = make_rows(cells)
+    versions = provenance.library_versions(*provenance.DRIVING_LIBRARIES)
+    result: dict[str, Any] = replace_nonfinite(
+        {
+            "schema": BENCHMARK_SCHEMA,
+            "header": {"versions": versions, **plan},
+            "cells": [{**cell.about, **vars(result)} for cell, result in cells.items()],
+            "rows": [
+                row.as_dict([rival for rival in rows if rival.place == row.place]) for row in rows
+            ],
+        }
+    )
+    return result
 
 
 def format_difference(row: Row, name: str) -> str:
@@ -38,6 +178,8 @@ def format_difference(row: Row, name: str) -> str:
     if difference is None:
         return ""
     _, factor, digits = DIFFERENCES[name]
+
+    # The interval of a single scene isn't known.
     numbers = (difference["difference"], *difference["interval"])
     value, low, high = ("?" if n is None else f"{n * factor:+.{digits}f}" for n in numbers)
     return f"{value} ({low} to {high}) over {difference['over']}"
@@ -75,23 +217,23 @@ def result_table(result: Mapping[str, Any]) -> Table:
 
 def write_csv(path: Path, result: Mapping[str, Any]) -> None:
     """Write a line for each row that drove, with a column for each end of an interval."""
+    # Lists and dicts have columns of their own, and agents that were refused have no line.
     lines = []
     for row in list_rows(result):
         line = {name: value for name, value in row.items() if not isinstance(value, list | dict)}
         line.pop("refused")
         line["robot"] = result["header"]["scenes"][f"{row['id']} {row['scenes']}"]["robot"]
         line["training_seeds"] = len(row["training_seeds"])
-        for name, (low, high) in row["intervals"].items():
-            line |= {f"{name}_low": low, f"{name}_high": high}
+        for name, interval in row["intervals"].items():
+            line |= zip((f"{name}_low", f"{name}_high"), interval, strict=True)
+
+        # A row without another baseline at its place has no differences.
         for name, difference in row["differences"].items():
             if difference is not None:
-                low, high = difference["interval"]
-                line |= {
-                    f"{name}_difference": difference["difference"],
-                    f"{name}_difference_low": low,
-                    f"{name}_difference_high": high,
-                    f"{name}_over": difference["over"],
-                }
+                columns = [f"{name}_difference{end}" for end in ("", "_low", "_high")]
+                numbers = (difference["difference"], *difference["interval"])
+                line |= zip(columns, numbers, strict=True)
+                line[f"{name}_over"] = difference["over"]
         lines.append(line)
 
     # Tasks have numbers of their own, so rows may have different columns.
@@ -105,6 +247,7 @@ def write_csv(path: Path, result: Mapping[str, Any]) -> None:
 
 def write_latex(path: Path, result: Mapping[str, Any]) -> None:
     """Write the main table for LaTeX with the package booktabs."""
+    # Texts are aligned left, numbers right.
     table = report.fill_cells([*map(main_cells, list_rows(result))])
     align = "".join("l" if name in TEXT_COLUMNS else "r" for name in table.columns)
     header, *body = (
@@ -175,6 +318,8 @@ def write_figure(path: Path, result: Mapping[str, Any]) -> None:
 def write_benchmark_page(path: Path, result: Mapping[str, Any]) -> None:
     """Write the result as an HTML page, see `page.write_page`."""
     page.check_report_extra()
+
+    # The main table, below what its columns mean, and the figure.
     rows = list_rows(result)
     introduction = "\n".join([INTRODUCTION, *list_refusals(result)])
     drawing = draw_figure(rows, "svg").decode()

@@ -4,7 +4,7 @@
 |---|---|
 | `plan.json` | what is measured, with hashes, see `Plan.as_dict` |
 | `cells.jsonl` | a line for each finished cell, from which `--resume` continues |
-| `benchmark.json` | the result, see `table.make_result` |
+| `benchmark.json` | the result, see `report.make_result` |
 """
 
 from __future__ import annotations
@@ -13,16 +13,15 @@ import contextlib
 import json
 import shlex
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from acsar_gym import reading
 from acsar_gym.errors import CancelledError, ConfigError, PolicyError, explain_error
-from acsar_gym.tools.benchmark.figures import score_episode
 from acsar_gym.tools.benchmark.plan import ROS2, Cell, Plan
-from acsar_gym.tools.benchmark.table import CellResult
+from acsar_gym.tools.benchmark.report import CellResult
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.runs import EpisodeJob
@@ -47,38 +46,36 @@ def open_folder(plan: Plan, out: Path | None, resume: Path | None) -> Path:
     Raises:
         ConfigError: `out` isn't empty, or `resume` was made by another plan.
     """
+    # As a file has it, with lists in the place of tuples.
     about = json.loads(json.dumps(plan.as_dict()))
     if resume is None:
         if out is not None and out.is_dir() and any(out.iterdir()):
             raise ConfigError(
                 f"--out {out}: isn't empty: name a new folder, or --resume {shlex.quote(str(out))}"
             )
+
+        # No other run writes to it, so it needs no lock.
         folder = make_folder(out, "benchmark")
         report.write_json(folder / PLAN_FILE, about)
         return folder
 
     # Results of a benchmark are comparable only if nothing has changed while it ran.
-    old = _flatten(reading.parse_json(reading.read_file(resume / PLAN_FILE, MAX_FILE_BYTES)))
-    new = _flatten(about)
-    for name in old | new:
-        if old.get(name) != new.get(name):
-            raise ConfigError(
-                f"--resume {resume}: {name} has changed since the benchmark was started: start a "
-                "new one, without --resume"
-            )
+    old = reading.parse_json(reading.read_file(resume / PLAN_FILE, MAX_FILE_BYTES))
+    for name in find_changes(old, about):
+        raise ConfigError(
+            f"--resume {resume}: {name} has changed since the benchmark was started: start a "
+            "new one, without --resume"
+        )
     return resume
 
 
-def _flatten(value: Any, name: str = "") -> dict[str, Any]:
-    """Return all values of nested dicts by their dotted names."""
-    if not isinstance(value, dict):
-        return {name: value}
-    prefix = f"{name}." if name else ""
-    return {
-        path: leaf
-        for key, item in value.items()
-        for path, leaf in _flatten(item, f"{prefix}{key}").items()
-    }
+def find_changes(old: Any, new: Any, name: str = "") -> Iterator[str]:
+    """Yield the dotted names of values that differ in nested dicts."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in old | new:
+            yield from find_changes(old.get(key), new.get(key), f"{name}.{key}".lstrip("."))
+    elif old != new:
+        yield name
 
 
 def run_plan(
@@ -105,7 +102,7 @@ def run_plan(
         with contextlib.closing(running):
             for number, result in report.watch_progress("cells", running, len(waiting)):
                 cell = waiting[number]
-                results[cell] = score_cell(cell, result)
+                results[cell] = replace(result, episodes=cell.score(result.episodes))
                 append_result(folder, cell, results[cell])
     except KeyboardInterrupt as error:
         raise CancelledError(
@@ -132,17 +129,9 @@ def drive_cell(job: EpisodeJob) -> CellResult:
     return CellResult(episodes, round(time.process_time() - start, 3))
 
 
-def score_cell(cell: Cell, result: CellResult) -> CellResult:
-    """Score the episodes of a cell."""
-    scoring = cell.scoring
-    scored = [
-        replace(episode, score=score_episode(episode, scoring)) for episode in result.episodes
-    ]
-    return replace(result, episodes=scored)
-
-
 def read_results(folder: Path, cells: Sequence[Cell]) -> dict[Cell, CellResult]:
     """Read the finished cells of a folder. A line that a full disk or a kill cut is left out."""
+    # It is there once a cell is finished.
     file = folder / CELLS_FILE
     lines = reading.read_file(file, MAX_FILE_BYTES).splitlines() if file.exists() else []
     results: dict[Cell, CellResult] = {}
@@ -157,6 +146,7 @@ def read_results(folder: Path, cells: Sequence[Cell]) -> dict[Cell, CellResult]:
 
 def append_result(folder: Path, cell: Cell, result: CellResult) -> None:
     """Write a finished cell on a new line, in which NaN stays NaN. ConfigError on a full disk."""
+    # A new line first: a write that was cut may have left half of one.
     file = folder / CELLS_FILE
     try:
         with file.open("a", encoding="utf-8") as stream:

@@ -41,7 +41,6 @@ from acsar_gym.tasks import PointGoal
 from acsar_gym.tasks.episode import Spawn
 from acsar_gym.tasks.options import check_names
 from acsar_gym.tasks.task import says_shortest_path
-from acsar_gym.tools.benchmark.figures import COMPLETION_TIME, SUCCESS
 from acsar_gym.tools.evaluation.provenance import hash_numbers, hash_source, hash_world
 from acsar_gym.worlds import registry
 from acsar_gym.worlds.generators import BARN_ROBOT_RADIUS
@@ -75,6 +74,9 @@ OPEN_FLOOR_SEEDS = {
 }
 """Seeds of the scenes on an open floor."""
 WORLD_SPLITS = {TRAIN: registry.TRAIN, VALIDATION: registry.VALIDATION, TEST: registry.BENCHMARK}
+COMPLETION_TIME = "completion_time"
+SUCCESS = "success"
+"""Scores of tasks with and without a shortest path, see `plan.score_episode`."""
 HASHES = Path(__file__).with_name("scenes.json")
 
 TWO_ROBOTS = ("acsar", "jackal")
@@ -124,7 +126,7 @@ class SceneSet:
     robot: str = DEFAULT_ROBOT
     """What `RobotConfig.of` takes."""
     score: str = "completion_time"
-    """See `figures.score_episode`."""
+    """See `plan.score_episode`."""
     version: int = SCENES_VERSION
     """Version of the set, which changes with its worlds."""
 
@@ -276,12 +278,16 @@ def find_sets(env_id: str, robots: Sequence[str] = ()) -> list[SceneSet]:
     sets: dict[str, SceneSet] = {}
     for name, choice in choices.items():
         source = task_worlds(env_id) if choice.worlds is None else choice.worlds
+
+        # Worlds of generators and seeds never end, so a part of them is the benchmark's.
         is_generated = not source or bool(registry.parse_known_name(source))
         numbers = split_numbers(source, TEST) if is_generated else number_worlds(source)
         score = choice.score
         if not score:
             has_way = says_shortest_path(make_planar(env_id).task)
             score = COMPLETION_TIME if has_way else SUCCESS
+
+        # A set of several robots has a name for each.
 
         for robot in dict.fromkeys(robots or choice.robots):
             label = Path(robot).stem
@@ -327,6 +333,7 @@ def choose_sets(
 
 def task_worlds(env_id: str) -> str:
     """Return the generator or folder that an id's task takes its worlds from. "" for none."""
+    # Results name their worlds, so these must have one name.
     pool = make_planar(env_id).pool
     if pool is None:
         return ""
@@ -341,6 +348,7 @@ def task_worlds(env_id: str) -> str:
 @cache
 def make_planar(env_id: str) -> RobotEnv:
     """Make an env of an id, closed. ConfigError if it isn't an env of acsar_gym."""
+    # Only its task, sensors and worlds are looked at.
     try:
         env = gymnasium.make(env_id, link="planar")
         env.close()
@@ -375,9 +383,11 @@ def hash_scenes(scenes: SceneSet, count: int) -> list[str]:
     # Whole blocks, because each has one hash.
     numbers = scenes.numbers[: -(-count // SCENES_PER_HASH) * SCENES_PER_HASH]
     if scenes.source:
+        # Worlds depend on the footprint of the robot.
         pool = read_pool(scenes.worlds or "", scenes.difficulty, scenes.robot)
         hashes = [hash_world(pool[number]) for number in numbers]
     else:
+        # On an open floor a scene is the goal that its seed draws.
         spawn = Spawn(PointGoal(), None, None, scenes.config)
         goals = [spawn.draw(seeding.np_random(seed)[0], {}).goal for seed in numbers]
         hashes = [hash_numbers([goal]) for goal in goals]

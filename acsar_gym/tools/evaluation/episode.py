@@ -61,10 +61,10 @@ class Episode:
     user, None on an open floor."""
     success: bool
     collision: bool
-    """Whether a simulated robot touched an obstacle, or ran into somebody. False on hardware."""
+    """Whether a simulated robot touched an obstacle, or ran into a person. False on hardware."""
     person_contact: float = math.nan
-    """0 for none, 1 if the robot ran into somebody, which is a collision, 2 if somebody ran into
-    the robot, which isn't a collision. NaN if nobody moves."""
+    """0 for none, 1 if the robot ran into a person, which is a collision, 2 if a person ran into
+    the robot, which isn't a collision. NaN without people."""
     fault: str = ""  # fault of the link or board that ended the episode, if there was one
     valid: bool = True  # whether there was no fault, and no more late ticks than allowed
     started: float = 0.0  # time at which the first tick began, on the link's clock [s]
@@ -86,18 +86,18 @@ class Episode:
     """Least distance of the footprint to an obstacle that stands [m], by ground truth at every env
     step. 0 if it touched such an obstacle."""
     closest_person: float = math.nan
-    """Least distance of the footprint to somebody who moves [m], by ground truth at every env
+    """Least distance of the footprint to a person [m], by ground truth at every env
     step. 0 if they touched."""
     time_to_collision: float = math.nan
-    """Least time until the robot would touch somebody if all kept their velocities [s], at every
+    """Least time until the robot would touch a person if all kept their velocities [s], at every
     env step."""
-    intrusions: float = math.nan  # how often the robot entered somebody's personal space
+    intrusions: float = math.nan  # how often the robot entered a person's personal space
     energy: float = math.nan
     """Mechanical work of a simulated robot's motors [J], W = sum over ticks of P dt with the power
     P of `physics.model.motor_power`."""
     odometry_error: float = math.nan  # distance between odometry and ground truth at the end [m]
     cross_track: float = math.nan  # mean cross-track error of path following [m]
-    score: float = math.nan  # of a scene of the benchmark, see `benchmark.figures.score_episode`
+    score: float = math.nan  # of a scene of the benchmark, see `benchmark.plan.score_episode`
     pose: Pose = (math.nan, math.nan, math.nan)  # odometry at the end (x [m], y [m], theta [rad])
     told: dict[str, float] = field(default_factory=dict)
     """The task's own numbers in info at the end, by name: its `told`."""
@@ -187,6 +187,8 @@ def measure_episode(env: RobotEnv, drive: Drive, late_share: float) -> Episode:
     """
     config = env.robot.config
     info = drive.info
+
+    # The first row of a track is that of the reset.
     steps = len(drive.track) - 1
     assignment = drive.assignment
     ending = describe_end(info)
@@ -261,6 +263,7 @@ def mean_jerk(poses: Floats, period: float) -> float:
     """
     if len(poses) < 4:
         return math.nan
+    # Along the mean heading, so that turning isn't speed.
     x, y, theta = poses.T
     theta = np.unwrap(theta)
     middle = (theta[1:] + theta[:-1]) / 2.0
@@ -309,6 +312,7 @@ def footprint_clearance(places: Floats, outline: Outline, world: World) -> float
     clearances = point_clearance(places[:, :2], world)
     is_near = clearances <= clearances.min() + outer_radius  # elsewhere the robot is farther away
 
+    # The corners of the footprint at each pose, and the sides between them.
     x, y, theta = places[is_near].T[..., None]
     cos = np.cos(theta)
     sin = np.sin(theta)
@@ -329,6 +333,7 @@ def odometry_errors(episodes: Sequence[Episode], log: Path) -> list[float]:
     """
     stamps, poses = read_true_poses(log)
 
+    # The newest pose until then.
     def find_pose(stamp: float) -> Pose:
         return poses[max(0, bisect_right(stamps, stamp) - 1)]
 
@@ -342,6 +347,7 @@ def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:
     Raises:
         ConfigError: It can't be read, or holds no true poses.
     """
+    # The emulator may be writing the last line.
     lines = reading.read_file(log, MAX_LOG_BYTES).splitlines(keepends=True)
     stamps: list[float] = []
     poses: list[Pose] = []

@@ -77,12 +77,6 @@ def run_episodes(
     return run_resets(env, policy, resets, late_share)
 
 
-def check_late_share(late_share: float) -> None:
-    """Raise ConfigError unless it is a share of ticks."""
-    if not 0.0 <= late_share <= 1.0:
-        raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
-
-
 def run_resets(
     env: gymnasium.Env[Any, Any],
     policy: Policy,
@@ -90,7 +84,8 @@ def run_resets(
     late_share: float = MAX_LATE_SHARE,
 ) -> Generator[Episode, None, None]:
     """Run episodes as `run_episodes`, with these seeds and options of their resets."""
-    check_late_share(late_share)
+    if not 0.0 <= late_share <= 1.0:
+        raise ConfigError(f"late_share = {late_share!r}: must be a share, 0 to 1")
     inner = env.unwrapped
     if not isinstance(inner, RobotEnv):
         raise ConfigError(f"{env}: only environments of acsar_gym can be evaluated")
@@ -100,7 +95,7 @@ def run_resets(
     batch = make_batch(env, policy, resets)
     drives: Iterable[Drive] = (_drive_env(env, inner, policy, *reset) for reset in resets)
     if batch is not None:
-        drives = BatchDriver(inner, batch, policy, resets).drives()
+        drives = _drive_batch(inner, batch, policy, resets)
     for drive in drives:
         yield measure_episode(inner, drive, late_share)
 
@@ -179,109 +174,102 @@ def make_batch(
     return batch
 
 
-class BatchDriver:
-    """The robots of a batch, which drive episodes. A free robot starts the next episode.
+def _drive_batch(
+    env: RobotEnv, batch: RobotVectorEnv, policy: Any, resets: Resets
+) -> Iterator[Drive]:
+    """Drive episodes with the robots of a batch. A free robot starts the next episode.
 
     Args:
         env: Env that would drive the episodes one by one.
-        batch: Batch of robots, see `make_batch`.
+        batch: Batch of robots, see `make_batch`. It is closed at the end.
         policy: A policy without memory.
         resets: Seeds and options of the episodes.
+
+    Yields:
+        Each episode, after all episodes before it have ended.
     """
+    robots = batch.num_envs
+    waiting = iter(range(len(resets)))
+    places: dict[int, int] = {}  # by robot: place of its episode among the resets
+    tracks: dict[int, list[Floats]] = {}
+    finished: dict[int, Drive] = {}
+    actions = np.zeros((robots, 2), np.float32)
+    unknown = np.full(robots, math.nan)
 
-    def __init__(self, env: RobotEnv, batch: RobotVectorEnv, policy: Any, resets: Resets) -> None:
-        batch.batch.measure_work()
-        self._env = env
-        self._batch = batch
-        self._policy = policy
-        self._resets = resets
-        self._waiting = iter(range(len(resets)))
-        """Places of the episodes that haven't started, among the resets."""
-        self._places: dict[int, int] = {}
-        """Place of the episode that a robot drives."""
-        self._tracks: list[list[Floats]] = [[] for _ in range(batch.num_envs)]
-
-    def drives(self) -> Iterator[Drive]:
-        """Drive, and yield each episode after all before it have ended."""
-        finished: dict[int, Drive] = {}
-        actions = np.zeros((self._batch.num_envs, 2), np.float32)
-        with contextlib.closing(self._batch):
-            observations = self._start()
-            for place in range(len(self._resets)):
-                while place not in finished:
-                    robots = sorted(self._places)
-                    actions[robots] = self._policy.act_many(observations[robots])
-                    observations, rewards, terminated, truncated, info = self._batch.step(actions)
-                    self._note(robots, info, rewards)
-
-                    ended = [robot for robot in robots if terminated[robot] or truncated[robot]]
-                    for robot in ended:
-                        finished[self._places.pop(robot)] = self._finish(robot, info)
-                    if ended:
-                        observations = self._start(observations)
-                yield finished.pop(place)
-
-    def _start(self, observations: Any = None) -> Any:
-        """Start the next episodes with free robots, and return the observations of all robots."""
-        robots = self._batch.num_envs
-        free = [robot for robot in range(robots) if robot not in self._places]
-        started = dict(zip(free, self._waiting, strict=False))
-        if not started:
-            return observations
-
-        seeds: list[int | None] = [None] * robots
-        worlds = np.full(robots, math.nan)
-        for robot, place in started.items():
-            seed, options = self._resets[place]
-            seeds[robot] = seed
-            worlds[robot] = options.get("world", math.nan)
-            self._tracks[robot] = []
-        self._places |= started
-
-        mask = np.isin(np.arange(robots), [*started])
-        wishes = {"reset_mask": mask}
-        if not np.isnan(worlds).all():
-            wishes["world"] = worlds
-        observations, info = self._batch.reset(seed=seeds, options=wishes)
-        self._note(started, info, np.zeros(robots))
-        return observations
-
-    def _note(self, robots: Iterable[int], info: Mapping[str, Any], rewards: Floats) -> None:
-        """Add a row to the tracks of these robots."""
-        unknown = np.full(self._batch.num_envs, math.nan)
+    def note(drivers: Iterable[int], info: Mapping[str, Any], rewards: Floats) -> None:
         rows = np.column_stack([*(info.get(key, unknown) for key in TRACK_KEYS), rewards])
-        for robot in robots:
-            self._tracks[robot].append(rows[robot])
+        for robot in drivers:
+            tracks[robot].append(rows[robot])
 
-    def _finish(self, robot: int, batch_info: Mapping[str, Any]) -> Drive:
-        """Return the episode of a robot that has ended it."""
-        info = {key: row[robot] for key, row in batch_info.items() if not key.startswith("_")}
-        columns = self._batch.batch.read(*ENDINGS)[:, robot].tolist()
-        x, y, theta, goal_x, goal_y, work, loops = columns
+    batch.batch.measure_work()
+    with contextlib.closing(batch):
+        for place in range(len(resets)):
+            while place not in finished:
+                # Free robots start the episodes that wait. All others stay as they are.
+                free = [robot for robot in range(robots) if robot not in places]
+                if started := dict(zip(free, waiting, strict=False)):
+                    places |= started
+                    tracks |= {robot: [] for robot in started}
+                    observations, info = _reset_robots(batch, started, resets)
+                    note(started, info, np.zeros(robots))
 
-        # The assignment as the single env would have it.
-        world = None
-        number = -1
-        if self._env.pool is not None:
-            number = int(info["world"])
-            world = self._env.pool[number]
-        assignment = Assignment((goal_x, goal_y), world, world_key=number, start=(x, y, theta))
-        way = np.array([assignment.goal]) if says_shortest_path(self._env.task) else None
+                active = sorted(places)
+                actions[active] = policy.act_many(observations[active])
+                observations, rewards, terminated, truncated, info = batch.step(actions)
+                note(active, info, rewards)
+                for robot in active:
+                    if terminated[robot] or truncated[robot]:
+                        end = {key: row[robot] for key, row in info.items() if key[0] != "_"}
+                        numbers = batch.batch.read(*ENDINGS)[:, robot].tolist()
+                        seed, _ = resets[places[robot]]
+                        drive = _finish_drive(env, seed, np.array(tracks[robot]), end, numbers)
+                        finished[places.pop(robot)] = drive
+            yield finished.pop(place)
 
-        # The clock of a link adds up its periods, which rounds.
-        config = self._env.robot.config
-        track = np.array(self._tracks[robot])
-        ticks = (len(track) - 1) * self._env.ticks_per_step
-        last_tick = round(loops / round(config.firmware.loop_rate * config.period))
-        clock = np.cumsum(np.full(last_tick, config.period))
-        return Drive(
-            seed=self._resets[self._places[robot]][0],
-            assignment=assignment,
-            track=track,
-            info=info,
-            first_way=way,
-            last_way=way,
-            started=float(clock[-ticks]) - config.period,
-            ended=float(clock[-1]),
-            energy=work,
-        )
+
+def _reset_robots(batch: RobotVectorEnv, started: Mapping[int, int], resets: Resets) -> Any:
+    """Start episodes, by robot and place among the resets: observations and info of all robots."""
+    robots = batch.num_envs
+    seeds: list[int | None] = [None] * robots
+    worlds = np.full(robots, math.nan)
+    for robot, place in started.items():
+        seeds[robot], options = resets[place]
+        worlds[robot] = options.get("world", math.nan)
+
+    wishes = {"reset_mask": np.isin(np.arange(robots), [*started])}
+    if not np.isnan(worlds).all():
+        wishes["world"] = worlds
+    return batch.reset(seed=seeds, options=wishes)
+
+
+def _finish_drive(
+    env: RobotEnv, seed: int, track: Floats, info: Mapping[str, Any], numbers: list[float]
+) -> Drive:
+    """Return the episode of a robot that has ended it with these numbers of ENDINGS."""
+    x, y, theta, goal_x, goal_y, work, loops = numbers
+
+    # The assignment as the single env would have it.
+    world = None
+    number = -1
+    if env.pool is not None:
+        number = int(info["world"])
+        world = env.pool[number]
+    assignment = Assignment((goal_x, goal_y), world, world_key=number, start=(x, y, theta))
+    way = np.array([assignment.goal]) if says_shortest_path(env.task) else None
+
+    # The clock of a link adds up its periods, which rounds.
+    config = env.robot.config
+    last_tick = round(loops / round(config.firmware.loop_rate * config.period))
+    clock = np.cumsum(np.full(last_tick, config.period))
+    first_tick = last_tick - (len(track) - 1) * env.ticks_per_step
+    return Drive(
+        seed=seed,
+        assignment=assignment,
+        track=track,
+        info=info,
+        first_way=way,
+        last_way=way,
+        started=float(clock[first_tick]) - config.period,
+        ended=float(clock[-1]),
+        energy=work,
+    )

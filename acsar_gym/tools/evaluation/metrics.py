@@ -129,6 +129,7 @@ def find_figure(name: str) -> Figure:
 
 def measure_figures(groups: Groups) -> dict[str, Any]:
     """Return means by name, those of the task's own numbers included, and their "intervals"."""
+    # All episodes are those of one task.
     task_names = groups[0][0].told if groups[0] else ()
     names = [*FIGURES, *(f"{TOLD_PREFIX}{name}" for name in task_names)]
     measured = {name: find_figure(name).measure(groups) for name in names}
@@ -141,13 +142,13 @@ class Summary(SimpleNamespace):
 
     Attributes:
         episodes: Number of episodes.
-        score: In scenes of the benchmark, see `benchmark.figures.score_episode`. NaN elsewhere.
+        score: In scenes of the benchmark, see `benchmark.plan.score_episode`. NaN elsewhere.
         success_rate: The goal was reached. This and the next four rates add up to 1.
-        collision_rate: Touched an obstacle, or ran into somebody.
-        struck_rate: Somebody ran into the robot, which isn't a collision of the robot's own.
+        collision_rate: Touched an obstacle, or ran into a person.
+        struck_rate: A person ran into the robot, which isn't a collision of the robot's own.
         timeout_rate: None of the others: time-out or out of bounds.
         fault_rate: Ended by a fault of link, board or wheels.
-        person_collision_rate: Ran into somebody: the part of the collisions with people.
+        person_collision_rate: Ran into a person: the part of the collisions with people.
         episode_return: Sum of rewards, comparable to the `reward_threshold` of a registered env.
         length: Policy steps per episode.
         spl: 0 to 1. NaN if shortest paths aren't known, as in path following.
@@ -163,10 +164,10 @@ class Summary(SimpleNamespace):
         odometry_error: Distance between odometry and ground truth at the end of an episode [m].
         odometry_drift: Odometry error divided by the length of the path driven.
         closest_person: Least distance of the footprint to a person in an episode, 0 after a
-            contact [m]. NaN if nobody moves, as the next two.
-        time_to_collision: Least time in an episode until the robot would touch somebody if all
+            contact [m]. NaN without people, as the next two.
+        time_to_collision: Least time in an episode until the robot would touch a person if all
             kept their velocities [s], at most 10.
-        intrusion_rate: How often the robot entered somebody's personal space, of all episodes
+        intrusion_rate: How often the robot entered a person's personal space, of all episodes
             together [1/min].
         ticks: Number of ticks.
         late_ticks: Ticks that ended over a millisecond late.
@@ -246,6 +247,7 @@ def bootstrap_interval(values: ArrayLike, weights: ArrayLike = 1.0) -> Interval:
     Returns:
         Low and high end. NaN if there are fewer than two samples.
     """
+    # Scenes in which no seed has a value don't count. A weight of 0 leaves out single values.
     matrix = np.atleast_2d(np.asarray(values, np.float64))
     is_known = np.isfinite(matrix)
     known_scenes = is_known.any(axis=0)
@@ -257,6 +259,8 @@ def bootstrap_interval(values: ArrayLike, weights: ArrayLike = 1.0) -> Interval:
     # A generator of its own, so that equal results have equal intervals.
     rng = np.random.default_rng(0)
     means = []
+
+    # In chunks, because all samples at once may not fit into the memory.
     chunk = max(1, MAX_RESAMPLED // matrix.size)
     for first in range(0, BOOTSTRAP_SAMPLES, chunk):
         count = min(chunk, BOOTSTRAP_SAMPLES - first)

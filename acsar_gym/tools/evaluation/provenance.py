@@ -105,6 +105,7 @@ def hash_source(code: Any) -> str:
     Of code of this package, all sources of the package. Empty if the module has no file, as in a
     notebook.
     """
+    # A user's class may inherit from another module of the user.
     kinds = code.__mro__ if isinstance(code, type) else (code,)
     modules = dict.fromkeys(kind.__module__ for kind in kinds)
     users = [name for name in modules if name.partition(".")[0] not in OWN_MODULES]
@@ -113,6 +114,7 @@ def hash_source(code: Any) -> str:
 
 def hash_world(world: World) -> bytes:
     """Hash the numbers that define a world, its path only if nothing stands or moves in it."""
+    # A path matters only if it is all that there is: elsewhere planners find ways of their own.
     start = world.start
     goal = world.goal
     theta = -10.0 if start.theta is None else start.theta

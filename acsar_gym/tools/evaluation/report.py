@@ -74,6 +74,7 @@ def print_tables(*tables: Table) -> None:
 
 def watch_progress(what: str, items: Iterable[Item], total: int) -> Iterable[Item]:
     """Yield items, with a progress bar on a terminal."""
+    # On stderr, so that piped results stay clean.
     console = SafeConsole(stderr=True)
     hidden = not console.is_terminal
     return track(items, what, total, console=console, transient=True, disable=hidden)
@@ -111,6 +112,7 @@ def make_table(title: str, rows: Sequence[Cells], texts: Iterable[str] = ()) -> 
         rows: Cells by name of the column.
         texts: Names of the columns that are aligned left, by default the first column.
     """
+    # Names are aligned left, numbers right.
     cells = fill_cells(rows)
     text_columns = {*texts} or {*cells.columns[:1]}
     table = Table(title=escape_text(title), title_justify="left")
@@ -155,6 +157,7 @@ def figure_cells(rows: Mapping[str, Row], corner: str = "figure") -> list[dict[s
 
 def count_cells(summary: Summary) -> dict[str, str]:
     """Return what is counted over the episodes, as far as it is known."""
+    # Late ticks are 0 in simulation, whose ticks have no deadline.
     successes = round(summary.success_rate * summary.episodes)
     lateness = f"{summary.late_ticks} of {summary.ticks}"
     if not math.isnan(summary.worst_lateness):
@@ -177,6 +180,7 @@ def summary_table(
     title: str, rows: Sequence[tuple[str, Summary]], notes: Sequence[str] = ()
 ) -> Table:
     """Format the figures of the runs on each link as a table, with lines below it."""
+    # First what is counted, then the figures.
     corner = "behind the wire"
     counts = {link: count_cells(summary) for link, summary in rows}
     lines = [
@@ -186,6 +190,7 @@ def summary_table(
     figures = figure_cells({link: summary.as_row() for link, summary in rows}, corner)
     table = make_table(title, [*lines, *figures])
 
+    # What makes the figures doubtful stands below them.
     captions = [escape_text(note) for note in notes]
     errors = [s.odometry_error for _, s in rows if s.odometry_error > ODOMETRY_ALARM]
     if errors:
@@ -208,6 +213,7 @@ def write_evaluation_page(
     page.check_report_extra()
     from plotly import graph_objects  # noqa: PLC0415 - optional
 
+    # A point for each episode, in a colour for each way to end.
     axes = {"xaxis_title": "seed", "yaxis_title": "duration [s]", "template": "plotly_white"}
     plot = graph_objects.Figure(layout=axes)
     for end in EPISODE_ENDS.values():
@@ -216,6 +222,7 @@ def write_evaluation_page(
         times = [episode.time for episode in chosen]
         plot.add_scatter(x=seeds, y=times, mode="markers", name=end.title)
 
+    # Pages of worlds without people don't explain their figures.
     note = "" if math.isnan(summary.closest_person) else f"\n{PEOPLE_NOTE}"
     table = fill_cells(figure_cells({"mean and 95 % interval": summary.as_row()}))
     sections = [

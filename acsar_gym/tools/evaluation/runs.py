@@ -133,6 +133,8 @@ def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
         ConfigError: There is no such `env`.
     """
     env_id = find_id(env) if env else ""
+
+    # An object that the user has made, which no other process can load from a file.
     if isinstance(policy, FilePolicy):
         if env_id:
             policy.env_id = env_id
@@ -145,6 +147,7 @@ def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
     if baselines.is_baseline(policy):
         return baselines.load_baseline(policy, env_id)
 
+    # Files run no code, but for zips.
     path = resolve(policy, baselines.BASELINES)
     if path.suffix == ".zip":
         return ZipPolicy(path, trust=trust, env_id=env_id)
@@ -170,6 +173,7 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
             robot isn't one of those that the policy is for.
         ConfigError: The env doesn't have one of the arguments.
     """
+    # Options that the user didn't name are left to the env.
     env_id = _check_id(policy)
     kwargs: dict[str, Any] = {"link": link, "robot": robot}
     kwargs |= {name: value for name, value in options.items() if value is not None}
@@ -177,6 +181,8 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
         kwargs["worlds"] = name_alone(kwargs["worlds"], registry.TEST)
     try:
         env = gymnasium.make(env_id, **kwargs)
+
+        # Only now is it known in which worlds the env trains.
         pool = getattr(env.unwrapped, "pool", None)
         if "worlds" not in kwargs and pool is not None and pool.split == registry.TRAIN:
             env.close()
@@ -312,6 +318,7 @@ def evaluate_policy(
         workers: As for `jobs.run_jobs`.
         **options: Other arguments of the env.
     """
+    # Several processes need robots of their own.
     resets: Resets = [(seed, {}) for seed in seeds]
     workers = 1 if workers is None else workers
     is_parallel = workers != 1
@@ -324,14 +331,17 @@ def evaluate_policy(
         raise ConfigError("--record: one process records: leave out --workers")
 
     def drive(env: Env) -> Iterator[Episode]:
-        running = episodes.run_resets(env, policy, resets, late_share)
+        results: Generator[Any, None, None]
         if is_parallel:
             load = send_policy(policy)
             config = RobotConfig.of(robot)
             job = EpisodeJob(load, link, config, options, resets=resets, late_share=late_share)
-            running = _run_in_parallel(job, workers)
+            results = run_jobs(run_job, _split_job(job, workers), workers)
+            running = (episode for _, driven in results for episode in driven)
+        else:
+            running = results = episodes.run_resets(env, policy, resets, late_share)
         title = f"episodes, {report.escape_text(link)}"
-        with contextlib.closing(running):
+        with contextlib.closing(results):
             yield from report.watch_progress(title, running, len(seeds))
 
     about = {"late_share": late_share}
@@ -341,18 +351,11 @@ def evaluate_policy(
     return done
 
 
-def _run_in_parallel(job: EpisodeJob, workers: int) -> Generator[Episode, None, None]:
-    """Yield the episodes of a job, which several processes drive in parts."""
-    # Small parts, so that no worker waits long for the last one.
-    size = len(job.resets) // (PARTS_PER_WORKER * max(workers, 1))
-    size = max(1, min(MAX_PART_EPISODES, size))
-    parts = [
-        replace(job, resets=job.resets[first : first + size])
-        for first in range(0, len(job.resets), size)
-    ]
-    with contextlib.closing(run_jobs(run_job, parts, workers)) as finished:
-        for _, results in finished:
-            yield from results
+def _split_job(job: EpisodeJob, workers: int) -> Iterator[EpisodeJob]:
+    """Yield parts of a job, so small that no worker waits long for the last of them."""
+    size = max(1, min(MAX_PART_EPISODES, len(job.resets) // (PARTS_PER_WORKER * workers)))
+    for first in range(0, len(job.resets), size):
+        yield replace(job, resets=job.resets[first : first + size])
 
 
 def drive_to_goal(

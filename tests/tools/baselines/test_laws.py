@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,11 @@ import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import PolicyError
-from acsar_gym.tasks.state import Floats
 from acsar_gym.tools import baselines
 from acsar_gym.tools.baselines import BaselinePolicy
-from acsar_gym.tools.baselines.base import find_constants, read_constants
+from acsar_gym.tools.baselines.base import RobotUnits, find_constants, read_constants
+from acsar_gym.tools.baselines.navfn import NavfnConstants
+from acsar_gym.tools.baselines.orca import OrcaConstants
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 
@@ -29,35 +31,28 @@ def equipped(name: str) -> BaselinePolicy:
     return policy
 
 
-def path_seen(
-    points: Floats, cross_track: float = 0.0, heading_error: float = 0.0
-) -> DecodedObservation:
-    """What a robot at 0.5 m/s sees of a path whose points ahead are (4, 2) [m]."""
-    return DecodedObservation(
-        linear=0.5,
-        angular=0.0,
-        cross_track=cross_track,
-        heading_error=heading_error,
-        remaining=3.0,
-        points=points,
-    )
-
-
 @pytest.mark.parametrize(
     ("bearing", "wanted"),
-    [(0.0, (0.5, 0.0)), (0.2, (0.5, 0.5)), (3.0, (0.0, 7.5)), (-3.0, (0.0, -7.5))],
+    [(0.2, (0.5, 0.5)), (3.0, (0.0, 7.5)), (-3.0, (0.0, -7.5))],
 )
 def test_turn_drive(bearing: float, wanted: tuple[float, float]) -> None:
     observation = DecodedObservation(linear=0.0, angular=0.0, distance=2.0, bearing=bearing)
     assert equipped("turn_drive").act(observation) == pytest.approx(wanted)
 
 
-def test_pure_pursuit_of_a_straight_path() -> None:
-    policy = equipped("pure_pursuit")
-    assert policy.act(path_seen(AHEAD)) == pytest.approx((CONFIG.max_linear, 0.0))
-    linear, angular = policy.act(path_seen(AHEAD - (0.0, 0.1), cross_track=0.1))
-    assert linear > 0.0
-    assert angular < -0.1
+@pytest.mark.parametrize("offset", [0.0, 0.1])
+def test_pure_pursuit_of_a_straight_path(offset: float) -> None:
+    """The robot is `offset` to the left of the path."""
+    observation = DecodedObservation(
+        linear=0.5,
+        angular=0.0,
+        cross_track=offset,
+        heading_error=0.0,
+        points=AHEAD - (0.0, offset),
+    )
+    linear, angular = equipped("pure_pursuit").act(observation)
+    assert linear == pytest.approx(CONFIG.max_linear, rel=0.5)
+    assert angular == pytest.approx(-2.0 * offset / 0.3**2 * linear, rel=0.1)
 
 
 def test_load_policy_takes_a_baselines_name() -> None:
@@ -78,7 +73,6 @@ def test_load_policy_takes_a_baselines_name() -> None:
         ),
         ("dwa", "", "--policy dwa --env obstacle_goal"),
         ("navfn", "point_goal", "needs a LiDAR"),
-        ("pure_pursuit", "point_goal", "needs a path"),
         ("turn_drive", "path_follow", "needs a goal"),
     ],
 )
@@ -104,7 +98,6 @@ def test_is_baseline_prefers_a_file_of_that_name(
         ("acsar_gym/Barn-v1", JACKAL, 0.924),
         ("acsar_gym:acsar_gym/Barn-v7", JACKAL.with_(body={"mass": 30.0}), 0.924),
         ("acsar_gym/Barn-v1", JACKAL.with_(max_linear=1.0), None),
-        ("acsar_gym/Barn-v1", CONFIG, None),
         ("mine/Task-v0", JACKAL, None),
     ],
 )
@@ -116,9 +109,17 @@ def test_find_constants_for_an_id_and_robots_of_a_shape_and_speed(
 
 @pytest.mark.parametrize("name", list(read_constants()))
 def test_read_constants_of_existing_planners_and_presets(name: str) -> None:
-    kind = baselines.load_baseline(name, "x/Y-v0").constants_type
-    assert kind is not None
+    defaults = baselines.load_baseline(name, "x/Y-v0").constants
     for robots in read_constants()[name].values():
         for robot, constants in robots.items():
             assert RobotConfig.preset(robot)
-            assert kind(**constants) != kind()
+            assert defaults._replace(**constants) != defaults
+
+
+def test_constants_are_multiples_of_the_robots_limits() -> None:
+    units = RobotUnits.of(CONFIG, 0.1)
+    constants = units.scale(NavfnConstants())
+    assert constants.min_speed == pytest.approx(0.16 * CONFIG.max_linear)
+    assert constants.turn_share == pytest.approx(0.67 * CONFIG.max_angular)
+    assert constants.min_carrot == pytest.approx(0.83 * math.hypot(*CONFIG.outline[0]))
+    assert (constants.arc_time, units.scale(OrcaConstants()).delay) == pytest.approx((1.0, 0.15))

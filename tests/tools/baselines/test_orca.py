@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
+from acsar_gym.tools.baselines.base import RobotUnits
 from acsar_gym.tools.baselines.orca import (
-    VelocityModel,
-    forbid_meeting,
-    list_planes,
+    OrcaConstants,
+    forbid_movers,
+    forbid_walls,
     true_tracks,
 )
 from acsar_gym.truth import GroundTruth
@@ -22,28 +23,30 @@ from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import World
 
 CONFIG = RobotConfig.preset("acsar")
-MODEL = VelocityModel(
-    radius=0.3, horizon=2.0, wall_horizon=0.5, wall_margin=0.05, share=1.0, period=0.1
-)
+CONSTANTS = OrcaConstants(mover_margin=0.2, wall_margin=0.05)
+UNITS = RobotUnits.of(CONFIG, 0.1)._replace(radius=0.25)
+NEAREST = 1.2 * 0.25 + 0.25
+"""Distance of the centres of robot and mover, with the margin, at which they touch [m]."""
 
 
 def meets(velocity: tuple[float, float], mover: Any) -> bool:
-    """Whether the disc of MODEL meets a mover within the horizon, on a fine grid of times."""
-    times = np.linspace(0.0, MODEL.horizon, 4001)[:, None]
+    """Whether the disc of the robot meets a mover within the horizon, on a fine grid of times."""
+    times = np.linspace(0.0, CONSTANTS.horizon, 4001)[:, None]
     offsets = mover[:2] + times * (mover[2:4] - np.array(velocity))
-    return bool(np.hypot(*offsets.T).min() < MODEL.radius + mover[4] - 1e-3)
+    return bool(np.hypot(*offsets.T).min() < NEAREST - 1e-3)
 
 
-def test_forbid_meeting_leaves_no_velocity_that_meets_the_mover() -> None:
+def test_forbid_movers_leaves_no_velocity_that_meets_the_mover() -> None:
     rng = np.random.default_rng(0)
     met = 0
 
     for _ in range(300):
         mover = np.array([*rng.uniform(-2.0, 2.0, 2), *rng.uniform(-1.0, 1.0, 2), 0.25])
-        if math.hypot(*mover[:2]) < MODEL.radius + mover[4] + 0.05:
+        if math.hypot(*mover[:2]) < NEAREST + 0.05:
             continue
-        plane = np.zeros(3)
-        forbid_meeting(plane, mover, 0.4, MODEL)
+        planes = np.zeros((1, 3))
+        forbid_movers(planes, mover[None], 0.4, CONSTANTS, UNITS)
+        plane = planes[0]
         assert math.hypot(*plane[:2]) == pytest.approx(1.0)
         for velocity in rng.uniform(-1.0, 1.0, (20, 2)):
             within = plane[:2] @ velocity >= plane[2]
@@ -54,13 +57,22 @@ def test_forbid_meeting_leaves_no_velocity_that_meets_the_mover() -> None:
     assert met > 100
 
 
-def test_list_planes_of_what_stands() -> None:
+def test_forbid_movers_leaves_a_mover_that_it_touches() -> None:
+    """They overlap by 5 cm, so it backs off at 0.5 m/s for 0.1 s, or half of that if shared."""
+    mover = np.array([[NEAREST - 0.05, 0.0, 0.0, 0.0, 0.25]])
+    for share in (1.0, 0.5):
+        planes = np.zeros((1, 3))
+        forbid_movers(planes, mover, 0.0, CONSTANTS._replace(share=share), UNITS)
+        assert planes == pytest.approx(np.array([[-1.0, 0.0, 0.5 * share]]))
+
+
+def test_forbid_walls() -> None:
     """The bumper is 0.17 m ahead: a wall at 0.52 m leaves 0.3 m with the margin."""
     footprint = make_surroundings(None, None, CONFIG)
     points = np.array([[0.52, 0.0], [0.52, 0.1], [-0.2, 0.0]])
-    planes, walls = list_planes(0.0, points, np.zeros((0, 5)), MODEL, footprint)
-    assert walls == 3
-    assert planes[-3:] == pytest.approx(np.array([[-1, 0, -0.6], [-1, 0, -0.6], [1, 0, 0.0]]))
+    planes = np.zeros((3, 3))
+    forbid_walls(planes, points, CONSTANTS, footprint)
+    assert planes == pytest.approx(np.array([[-1, 0, -0.6], [-1, 0, -0.6], [1, 0, 0.0]]))
 
 
 def test_true_tracks_are_in_the_odometry_frame() -> None:

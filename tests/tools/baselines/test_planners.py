@@ -12,25 +12,31 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.errors import PolicyError
 from acsar_gym.tools import baselines
-from acsar_gym.tools.baselines.mapped import points_clearance
+from acsar_gym.tools.baselines.mapped import footprint_clearance
 from acsar_gym.tools.evaluation import runs
+from acsar_gym.worlds.geometry import make_surroundings
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import Region, World
 
 PLANNERS = ("dwa", "dwa_movers", "navfn", "orca", "orca_true")
 CONFIG = RobotConfig.preset("acsar")
-BOX = np.array(CONFIG.outline)
-SIDES = np.hstack([BOX, np.roll(BOX, -1, axis=0)])
+START = Region(0.0, 0.0, 0.0, 0.0)
+
+
+def open_env(name: str, world: World, robot: Any = None) -> tuple[Any, Any, Any]:
+    """A planner, its env in a world, and the first observation."""
+    policy = runs.load_policy(name, trust=False, env="obstacle_goal")
+    env = runs.make_env(policy, "planar", robot, {"worlds": world})
+    observation, _ = env.reset(seed=0)
+    policy.reset()
+    return policy, env, observation
 
 
 def drive(name: str, goal: tuple[float, float], *walls: list[float], steps: int = 8) -> Any:
     """Commands (steps, 2) [m/s, rad/s] towards a goal, between walls (x1, y1, x2, y2) [m]."""
-    policy = runs.load_policy(name, trust=False, env="obstacle_goal")
     segments = np.array(walls).reshape(-1, 4)
-    world = World(segments=segments, start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(*goal))
-    env = runs.make_env(policy, "planar", None, {"worlds": world})
-    observation, _ = env.reset(seed=0)
-    policy.reset()
+    world = World(segments=segments, start=START, goal=Region(*goal))
+    policy, env, observation = open_env(name, world)
     actions = []
     for _ in range(steps):
         actions.append(policy(observation))
@@ -39,22 +45,27 @@ def drive(name: str, goal: tuple[float, float], *walls: list[float], steps: int 
     return np.array(actions) * (CONFIG.max_linear, CONFIG.max_angular)
 
 
+BOX = [(-0.17, -0.13), (0.17, -0.13), (0.17, 0.13), (-0.17, 0.13)]
+TRIANGLE = [(-0.1, -0.1), (0.2, 0.0), (-0.1, 0.1)]
+
+
 @pytest.mark.parametrize(
-    ("point", "turned", "wanted"),
+    ("footprint", "point", "turned", "wanted"),
     [
-        ((1.0, 0.0), 0.0, 0.83),
-        ((0.0, 0.1), 0.0, 0.0),
-        ((0.47, 0.57), 0.0, 0.5),
-        ((9.0, 0.0), 0.0, 1.0),
-        ((0.23, 0.0), 0.0, 0.06),
-        ((0.23, 0.0), math.pi / 4.0, 0.0),
+        (BOX, (1.0, 0.0), 0.0, 0.83),
+        (BOX, (0.0, 0.1), 0.0, 0.0),
+        (BOX, (0.47, 0.53), 0.0, 0.5),
+        (BOX, (9.0, 0.0), 0.0, 1.0),
+        (BOX, (0.0, -0.47), math.pi / 2.0, 0.3),
+        (TRIANGLE, (0.5, 0.0), 0.0, 0.3),
+        (TRIANGLE, (-0.4, 0.05), 0.0, 0.3),
     ],
 )
-def test_points_clearance_of_the_rectangle(
-    point: tuple[float, float], turned: float, wanted: float
+def test_footprint_clearance(
+    footprint: Any, point: tuple[float, float], turned: float, wanted: float
 ) -> None:
-    outer = math.hypot(*BOX[0])
-    free = points_clearance((0.0, 0.0, turned), np.array([point]), SIDES, outer, 1.0)
+    around = make_surroundings(None, None, CONFIG.with_(footprint=footprint))
+    free = footprint_clearance((0.0, 0.0, turned), np.array([point]), around, 1.0)
     assert free == pytest.approx(wanted, abs=1e-9)
 
 
@@ -63,6 +74,15 @@ def test_planners_drive_straight_to_a_goal_ahead(name: str) -> None:
     linear, angular = drive(name, (3.0, 0.0))[-1]
     assert linear > 0.8 * CONFIG.max_linear
     assert abs(angular) < 0.3
+
+
+@pytest.mark.parametrize(("name", "share"), [("dwa", 1.0), ("navfn", 0.01), ("orca", 0.2)])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_planners_turn_to_a_goal_beside_them(name: str, share: float, side: float) -> None:
+    """On the spot, but for the planner that drives an arc."""
+    linear, angular = drive(name, (-0.2, 2.0 * side), steps=3)[-1]
+    assert abs(linear) <= share * CONFIG.max_linear
+    assert angular * side > 0.3
 
 
 @pytest.mark.parametrize("name", PLANNERS)
@@ -74,12 +94,9 @@ def test_planners_dont_drive_into_a_wall_that_hides_the_goal(name: str) -> None:
 
 def test_obstacles_are_remembered() -> None:
     """A wall to the left, which the robot turns away from: a LiDAR that sees ahead alone."""
-    policy: Any = runs.load_policy("navfn", trust=False, env="obstacle_goal")
-    wall = np.array([[1.0, -0.5, 1.0, 0.5]])
-    world = World(segments=wall, start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(-2.0, 0.0))
+    world = World(segments=np.array([[1.0, -0.5, 1.0, 0.5]]), start=START, goal=Region(-2.0, 0.0))
     robot = CONFIG.with_(lidar={"rays": 61, "field_of_view": math.pi / 2.0})
-    env = runs.make_env(policy, "planar", robot, {"worlds": world})
-    observation, _ = env.reset(seed=0)
+    policy, env, _ = open_env("navfn", world, robot)
     for _ in range(20):
         observation, *_ = env.step(np.array([0.0, 1.0], np.float32))
 
@@ -88,30 +105,18 @@ def test_obstacles_are_remembered() -> None:
     points = policy.obstacles(policy.map.pose, decoded, 2.0)
     assert len(points) > 5
     assert points[:, 0] == pytest.approx(1.0, abs=0.12)
-    assert policy.map.cells_met(0.5).shape == (0, 2)
-    assert policy.map.way_ahead[-1, :2] == pytest.approx((-2.0, 0.0))
     env.close()
-
-
-def cross(name: str) -> Any:
-    """Drive a Jackal to a goal 4 m ahead, across whose way two walk: info of the last step."""
-    movers = (walk([[1.2, -1.5], [1.2, 2.5]], 0.8), walk([[2.6, 3.0], [2.6, -3.0]], 0.6))
-    world = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0), movers=movers)
-    policy = runs.load_policy(name, trust=False, env="obstacle_goal")
-    env = runs.make_env(policy, "planar", "jackal", {"worlds": world})
-    observation, info = env.reset(seed=0)
-    policy.reset()
-    done = False
-    while not done:
-        observation, _, terminated, truncated, info = env.step(policy(observation))
-        done = terminated or truncated
-    env.close()
-    return info
 
 
 @pytest.mark.parametrize("name", ["dwa_movers", "orca", *baselines.PRIVILEGED_BASELINES])
 def test_planners_let_walkers_pass(name: str) -> None:
-    assert cross(name)["is_success"] == 1.0
+    """A Jackal drives to a goal 4 m ahead, across whose way two walk."""
+    movers = (walk([[1.2, -1.5], [1.2, 2.5]], 0.8), walk([[2.6, 3.0], [2.6, -3.0]], 0.6))
+    world = World(start=START, goal=Region(4.0, 0.0), movers=movers)
+    policy = runs.load_policy(name, trust=False, env="obstacle_goal")
+    assert (
+        runs.evaluate_policy(policy, "planar", "jackal", range(1), worlds=world).results[0].success
+    )
 
 
 @pytest.mark.parametrize("name", baselines.PRIVILEGED_BASELINES)
@@ -128,24 +133,18 @@ def test_privileged_baselines_need_a_simulator(name: str) -> None:
 
 
 def test_obstacles_without_scans_of_a_mover() -> None:
-    policy: Any = runs.load_policy("dwa_movers", trust=False, env="obstacle_goal")
-    world = World(
-        np.array([[1.0, 1.0, 0.2]]),
-        start=Region(0.0, 0.0, 0.0, 0.0),
-        goal=Region(4.0, 0.0),
-        movers=(walk([[1.5, -0.5]]),),
-    )
-    env = runs.make_env(policy, "planar", None, {"worlds": world})
-    observation, _ = env.reset(seed=0)
+    pillar = np.array([[1.0, 1.0, 0.2]])
+    movers = (walk([[1.5, -0.5]]),)
+    world = World(pillar, start=START, goal=Region(4.0, 0.0), movers=movers)
+    policy, env, observation = open_env("dwa_movers", world)
 
     decoded = policy.setting.seen(observation)
     every = policy.obstacles(policy.map.pose, decoded, 3.0)
-    without_mover = policy.obstacles(
-        policy.map.pose, decoded, 3.0, np.array([[1.5, -0.5, 0, 0, 0.25]])
-    )
+    track = np.array([[1.5, -0.5, 0.0, 0.0, 0.25]])
+    standing = policy.obstacles(policy.map.pose, decoded, 3.0, track)
     distances = np.hypot(*(every - (1.5, -0.5)).T)
-    assert 0 < len(without_mover) < len(every)
-    assert len(without_mover) == (distances > 0.4).sum()
+    assert 0 < len(standing) < len(every)
+    assert len(standing) == (distances > 0.4).sum()
     env.close()
 
 

@@ -71,8 +71,6 @@ def test_run_episodes_counts_late_ticks(late_share: float, shared_device: str) -
     lateness = episode.timing.lateness
     assert lateness.late_ticks == episode.late_ticks >= 2  # the first tick isn't judged
     assert lateness.worst > 0.01  # the policy alone takes 20 ms too long
-    assert lateness.missed_ticks >= 2
-    assert lateness.ticks == episode.ticks - 1
 
     summary = summarise_episodes([episode])
     assert (summary.invalid, summary.late_ticks) == (not episode.valid, episode.late_ticks)

@@ -391,8 +391,7 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
         what: Ids, agents, links, scenes and conditions.
         how: Folder, processes and output.
     """
-    from acsar_gym.tools.benchmark import agents, plan, report, runner, scenes
-    from acsar_gym.tools.benchmark.table import make_result
+    from acsar_gym.tools.benchmark import plan, report, runner, scenes
     from acsar_gym.tools.evaluation.report import print_tables, write_json
 
     # What is compared.
@@ -401,7 +400,7 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     if what.barn is not None:
         sets += scenes.published_sets(sets, what.barn)
     chosen = plan.Plan(
-        agents=tuple(agents.choose_agents(what.agents, sets, what.trained, what.seeds)),
+        agents=tuple(plan.choose_agents(what.agents, sets, what.trained, what.seeds)),
         sets=tuple(sets),
         links=tuple(dict.fromkeys(what.links)),
         conditions=tuple(dict.fromkeys(what.conditions)),
@@ -413,7 +412,7 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     cells = runner.run_plan(chosen, folder, workers=how.workers, address=how.address)
 
     # The results.
-    result = make_result(chosen.as_dict(), cells)
+    result = report.make_result(chosen.as_dict(), cells)
     file = folder / runner.RESULT_FILE
     write_json(file, {"origin": describe_origin(), **result}, indent=None)
     for path, write in (
