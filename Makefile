@@ -100,13 +100,13 @@ ros-timing: $(ROS)/ready  ## late ticks, CPU and reaction time of a robot in ROS
 	PYTHONPATH=tests .ci/ros $(ROS)/bin/python tests/measure/ros_timing.py
 
 faults: $(READY)  ## plant 60 faults in the package, one at a time, and count those that tests detect
-	nice -n 19 $(BIN)/python tests/plant_faults.py
+	nice -n 19 $(BIN)/python tests/measure/plant_faults.py
 
 licences: $(READY)  ## write docs/licences.md from what is installed
 	$(BIN)/python tests/licence_tools.py >docs/licences.md
 
 reference: $(READY)  ## write what docs/reference shows of docstrings
-	$(BIN)/python tests/reference_tools.py
+	$(BIN)/python tests/docs/test_reference.py
 
 pictures: $(READY)  ## draw the README's moving pictures, and the one among people of docs, in three minutes
 	$(BIN)/python assets/pictures/three_views.py

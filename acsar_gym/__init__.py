@@ -66,9 +66,11 @@ def __getattr__(name: str) -> Any:
     try:
         module = importlib.import_module(home)
     except ModuleNotFoundError as error:
+        # A module that is there, but imports a module that is missing, is another error.
         if error.name != home:
             raise
         raise AttributeError(f"module 'acsar_gym' has no attribute {name!r}") from error
+    # Kept, so that this function runs once for each name.
     value = getattr(module, name) if name in _HOMES else module
     globals()[name] = value
     return value

@@ -284,11 +284,11 @@ def escape_unprintable(text: str, limit: int = 1_000) -> str:
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Suggest a name for an unknown name, for the end of an error message.
+    """Return the end of an error message about an unknown name.
 
-    Returns:
-        "; did you mean X?" with the most similar name, or "; known: ..." with all of them.
+    It suggests the most similar name, or lists all names if none is similar.
     """
     names = sorted(known)
+    # A lower cutoff suggests names that share only a few letters.
     similar = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"; did you mean {similar[0]!r}?" if similar else f"; known: {', '.join(names)}"

@@ -23,6 +23,7 @@ def hash_sample(key: float, number: int) -> float:
 
     So a single robot and the robots of a batch draw the same number, in any order.
     """
+    # All 53 bits of the key count. The step makes neighbouring numbers unrelated.
     word = (np.uint64(key * _BITS) << _S11) + np.uint64(number + 1) * _STEP
     word = (word ^ (word >> _S30)) * _FIRST
     word = (word ^ (word >> _S27)) * _SECOND

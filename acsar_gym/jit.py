@@ -85,6 +85,7 @@ def loop(function: Callable[P, R], *, keep: bool = True) -> Callable[P, R]:
         keep: Whether to cache the compiled code on disk.
     """
     compiled: Any = numba.njit(error_model="numpy", nogil=True, no_cfunc_wrapper=True)(function)
+    # numba reads its setting as the cache is made, so it is changed for this call only.
     usual = numba.config.CACHE_DIR
     try:
         if keep:
@@ -110,6 +111,7 @@ def find_folder(module: str, numba_folder: str) -> str:
         RuntimeError: No folder can be written.
     """
     version = sys.modules["acsar_gym"].__version__
+    # Modules of tools/ use the compiled functions of both.
     sources = FINGERPRINT[:16]
     if module.startswith("acsar_gym.tools."):
         sources += hash_sources(TOOLS)[:16]
@@ -127,6 +129,7 @@ def find_folder(module: str, numba_folder: str) -> str:
 def _delete_outdated(parent: Path) -> None:
     """Delete all but the newest folders of compiled code."""
     folders = sorted(parent.glob("acsar_gym-*-*"), key=lambda folder: folder.stat().st_mtime)
+    # Another process may use or delete them at the same time.
     for folder in folders[:-KEPT_FOLDERS]:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -142,6 +145,7 @@ class _Cache(FunctionCache):  # type: ignore[misc]
             loaded = None
             with contextlib.suppress(OSError):
                 self.flush()
+        # Nothing was kept: what follows takes long, and users should know why.
         if loaded is None and self._py_func.__module__.startswith(SLOW_MODULES):
             _warn_once(SLOW_TO_COMPILE)
         return loaded
@@ -162,6 +166,8 @@ def _warn_once(message: str) -> None:
 def named_tuple(kind: Any, name: str, fields: tuple[str, ...]) -> Any:
     """Make a class of named tuples as an attribute of a class, so that numba's cache finds it."""
     with _NAMING:
+        # A subclass may have other fields than its base class, so only the class's own attribute
+        # counts.
         made: Any = vars(kind).get(name)
         if made is None or made._fields != fields:
             make: Any = namedtuple  # its fields are known only at run time

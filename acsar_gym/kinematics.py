@@ -147,9 +147,11 @@ def compute_sides(
     max_speed: float,
 ) -> tuple[float, float]:
     """Return the right and left wheel speeds [rad/s], also in compiled code. NaN on overflow."""
+    # Equations (1) and (2) solved for the speeds of the two sides.
     half_turn = angular * wheel_separation / 2.0
     left_speed = (linear - half_turn) / left_radius
     right_speed = (linear + half_turn) / right_radius
     fastest = max(abs(left_speed), abs(right_speed))
+    # One factor for both sides keeps the turn radius.
     scale = max_speed / fastest if fastest > max_speed else 1.0
     return scale * right_speed, scale * left_speed

@@ -138,6 +138,7 @@ class Odometry:
         if len(speeds) != 4:
             raise CommandError(f"odometry needs 4 wheel speeds (a, b, c, d), got {len(speeds)}")
         a, b, c, d = speeds
+        # Equations (1)-(3): wheel speeds to a twist.
         linear, angular = kinematics.compute_twist(
             a,
             b,
@@ -154,6 +155,7 @@ class Odometry:
         x, y, theta = integrate_twist(
             x, y, theta, cos=cos, sin=sin, linear=linear, angular=angular, dt=dt
         )
+        # Nothing is changed by bad numbers, since the fields are set only below.
         if not (math.isfinite(x + y + theta) and 0.0 <= dt < math.inf):
             raise CommandError(f"odometry can't integrate speeds {tuple(speeds)} over dt = {dt} s")
 
@@ -166,6 +168,8 @@ class Odometry:
 
         self.pose = (x, y, theta)
         self.twist = (linear, angular)
+
+        # Wheel angles are those of the joints in ROS.
         turned_a, turned_b, turned_c, turned_d = self.wheel_positions
         self.wheel_positions = (
             turned_a + a * dt,

@@ -135,6 +135,7 @@ def replace_file(path: Path) -> Iterator[Path]:
     if str(path).startswith(STREAM_PATHS) or (old and not target.is_file()):
         yield path
         return
+    # A write-protected file is not replaced, although its folder would allow it.
     if old:
         target.open("ab").close()  # raises if it is write-protected
 
@@ -145,6 +146,7 @@ def replace_file(path: Path) -> Iterator[Path]:
             with contextlib.suppress(PermissionError, AttributeError):  # Windows has no owners
                 shutil.chown(new, old.st_uid, old.st_gid)
             shutil.copymode(target, new)
+        # The content must be on the disk before the name points to it.
         with new.open("ab") as file:
             os.fsync(file.fileno())
         new.replace(target)
@@ -170,6 +172,7 @@ def check_replaceable(path: Path, mark: str | None = None) -> None:
     """
     if not path.is_file() or str(path).startswith(STREAM_PATHS):
         return
+    # The mark is in the first bytes of everything that commands write.
     mark = describe_origin() if mark is None else mark
     try:
         with path.open("rb") as file:
@@ -242,6 +245,7 @@ def parse_yaml(text: str, error: type[AcsarError] = ConfigError) -> Any:
         AcsarError: The YAML is invalid, several documents, or nested too deeply.
     """
     try:
+        # Check the events before objects are made of them.
         depth = 0
         events: Iterator[Any] = yaml.parse(text, Loader=YamlLoader)
         for event in events:
@@ -252,6 +256,7 @@ def parse_yaml(text: str, error: type[AcsarError] = ConfigError) -> Any:
                 raise error(f"line {line}: is nested too deeply")
             if isinstance(event, yaml.AliasEvent):
                 raise error(f"line {line}: has an alias (*), which is refused: write the value out")
+
         return yaml.load(text, Loader=YamlLoader)  # noqa: S506 -- derived from the safe loader
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError) as problem:
         raise error(f"not valid YAML: {explain_error(problem)}") from problem
@@ -290,6 +295,7 @@ def import_object(what: str, name: str) -> Any:
     """
     field = f"{what} = {show_value(name)}"
     must = "must be like 'module:Class'"
+    # Only identifiers: importing anything else would fail with less clear errors.
     module, _, attribute = name.partition(":")
     if not all(word.isidentifier() for word in f"{module}.{attribute}".split(".")):
         raise ConfigError(f"{field}: {must}")

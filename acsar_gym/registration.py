@@ -89,6 +89,7 @@ def register(
         check_names,
     )
 
+    # Check the sets of scenes now, not when a benchmark reads them.
     choices = {}
     for name, fields in (scenes or {}).items():
         try:

@@ -26,6 +26,7 @@ def cache_folder(name: str) -> Path | None:
     folder = os.environ.get(CACHE_VARIABLE)
     if folder is not None:
         return None if folder.lower() in ("", "0", "off") else Path(folder) / name
+    # The places that Windows and the XDG specification have for caches.
     base = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
     try:
         return (Path(base) if base else Path.home() / ".cache") / "acsar_gym" / name
@@ -77,6 +78,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
             raise OSError(name)
         if file is None or name in contents:
             continue
+        # Libraries change with their versions, and following their imports would take seconds.
         installed = {"site-packages", "dist-packages"} & {*file.parts}
         if installed and name.partition(".")[0] != first.partition(".")[0]:
             contents[name] = str(getattr(sys.modules.get(name), "__version__", "")).encode()
@@ -92,6 +94,7 @@ def _read_sources(first: str) -> dict[str, bytes]:
                 base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
                 imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
 
+        # This package's sources have a hash of their own.
         ours = {*sys.stdlib_module_names, "acsar_gym"}
         waiting += [module for module in imported if module.partition(".")[0] not in ours]
     return contents

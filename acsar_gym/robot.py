@@ -220,6 +220,7 @@ class Robot:
             self._stops.warn()
             self._has_warned = False
 
+        # Waits of links and sensors call this again and again.
         token = WHILE_WAITING.set(self._check_released)
         try:
             yield
@@ -245,6 +246,7 @@ class Robot:
 
     def _start_episode(self, scene: Scene, rng: np.random.Generator) -> None:
         """Wait until the wheels are at rest, and reset what belongs to an episode."""
+        # The link first: the rest starts from its clock and its wheels at rest.
         self.link.reset(scene)
         self.safety.reset()
         self.wire.reset()
@@ -257,6 +259,7 @@ class Robot:
         if self.link.lateness is not None:
             gc.collect()  # it takes 60 ms, so do it before the wheels turn
             self._stopwatch = EpisodeStopwatch(self.config)
+        # Simulated wheels follow commands as well as the physics of an episode allows.
         if self.link.is_real and self.config.wheel_check:
             self._wheel_check = WheelCheck(self.config, self.link.device or "DEVICE")
 
@@ -342,6 +345,7 @@ class Robot:
     def _exchange(self, speeds: Speeds | None) -> None:
         """Send wheel speeds, if any, let one control period pass, and update odometry."""
         lines, duration = self.wire.exchange(speeds)
+        # Odometry takes each line for as long as it held, also if several arrived.
         self.shares = self.wire.shares(lines, duration)
         for wheel_speeds, share in self.shares:
             self.odometry.update(wheel_speeds, share)
@@ -350,6 +354,7 @@ class Robot:
             self._measure_timing(self._stopwatch, speeds or ZERO)
         if self._wheel_check is not None:
             self._check_wheels(self._wheel_check, speeds, duration, fresh=bool(lines))
+        # Last, as sensors use the odometry of this tick.
         if self._polls_sensors:
             self.sensors.poll()
 
@@ -409,6 +414,7 @@ class Robot:
         """
         if not self.active:
             raise LinkError("the robot isn't active", "call activate() or env.reset() first")
+        # Stop before confirming: `acsar-gym estop` relies on the answer.
         if self._stops is not None and self._stops.is_requested():
             self.safety.estop()
             self.stop()
@@ -454,6 +460,7 @@ class Robot:
         """
         if not self.active:
             return
+        # A lost link can't be commanded, but is closed all the same.
         try:
             with contextlib.suppress(LinkError):
                 self.stop()

@@ -36,6 +36,7 @@ def print_error(text: str) -> None:
 
 def run_guarded(command: Callable[[], int]) -> int:
     """Run a command. Returns its exit code, or 141 or 2 if its output can't be written."""
+    # An error of the command itself has precedence over one of its output.
     code = 0
     try:
         code = command()

@@ -88,6 +88,7 @@ class ScriptedLink(Link):
         """Let a period pass, and return the next answer."""
         self._now += period + self.pause
         self.pause = 0.0
+        # Answers that were written beforehand come first.
         if self.answers:
             return self.answers.pop(0)
         if isinstance(self.then, bytes):
@@ -149,6 +150,7 @@ class EmulatedBoard:
         - "lost": time that wasn't simulated, because the computer was too busy [s]
         - "device": the path after the cable was pulled or plugged in
         """
+        # The emulator may be in the middle of a line: only whole lines are read.
         with self._log.open("rb") as log:
             log.seek(self._read_bytes)
             complete, end, _ = log.read().rpartition(b"\n")
@@ -210,6 +212,7 @@ class EmulatedBoard:
         def list_devices() -> list[str]:
             return [event["device"] for event in self.events() if "device" in event]
 
+        # The emulator logs the new path once it has moved the cable.
         moves = len(list_devices())
         self._send_signal(number)
         wait_until(lambda: len(list_devices()) > moves, "a cable that moves")

@@ -18,8 +18,10 @@ def sincos(theta: float) -> tuple[float, float]:
     The angle is reduced to a quarter turn in two parts, then the usual minimax polynomials are
     used.
     """
+    # Reduce to within an eighth of a turn of the nearest quarter.
     turns = np.floor(theta * (2.0 / math.pi) + 0.5)
     r = (theta - turns * 1.5707963267341256) - turns * 6.077100506506192e-11
+    # Polynomials for the sine and the cosine of the rest.
     z = r * r
     s = z * 1.58969099521155010221e-10 - 2.50507602534068634195e-08
     s = z * s + 2.75573137070700676789e-06
@@ -32,6 +34,7 @@ def sincos(theta: float) -> tuple[float, float]:
     c = z * c - 1.38888888888741095749e-03
     c = 1.0 - 0.5 * z + z * z * (z * c + 4.16666666666666019037e-02)
 
+    # Exchange and negate them, as the quarter requires.
     quarter = turns - 4.0 * np.floor(turns * 0.25)
     swap = quarter in (1.0, 3.0)
 
@@ -65,6 +68,7 @@ def angle_of(x: float, y: float) -> float:
     Branchless so that loops vectorize: the polynomial of Hastings (Approximations for Digital
     Computers, 1955. Abramowitz and Stegun 4.4.49) for the ratio of the lesser to the greater side.
     """
+    # Reduce to the first eighth of the turn.
     ahead = abs(x)
     across = abs(y)
     ratio = min(ahead, across) / (max(ahead, across) + 1e-300)
@@ -78,6 +82,7 @@ def angle_of(x: float, y: float) -> float:
     angle = z * angle - 0.3333314528
     angle = ratio + ratio * z * angle
 
+    # Undo the reduction by symmetry.
     angle = 0.5 * math.pi - angle if across > ahead else angle
     angle = math.pi - angle if x < 0.0 else angle
     return -angle if y < 0.0 else angle

@@ -108,6 +108,7 @@ class Wire:
         data = link.advance(self._period)
         lines = []
         for reading in self.decoder.feed(data):
+            # From here on, speeds are those of wheels, not of letters.
             if self._encoders is not None:
                 reading = Reading(self._encoders.to_wheels(reading.speeds))  # noqa: PLW2901
             self.speeds = reading.over(self.speeds)
@@ -124,6 +125,7 @@ class Wire:
             self._is_settled = False
             self.start = stamp - self._period
 
+        # A silent board keeps its last speeds until the time-out.
         if lines:
             self.age = 0.0
         else:
@@ -167,6 +169,7 @@ class Wire:
         Raises:
             LinkError: The link or the board fails, or the wheels keep turning.
         """
+        # Several lines in a row, as a single zero may be a glitch.
         lines_at_rest = 0
         for _ in range(math.ceil(STANDSTILL_TIMEOUT / self._period)):
             WHILE_WAITING.get()()
@@ -179,6 +182,7 @@ class Wire:
                 self._is_settled = True
                 return
 
+        # Too few lines came for a decision, or they show wheels that turn.
         if max(map(abs, self.speeds)) < STANDSTILL:
             raise silence_error(self.age, self.decoder)
         raise still_turning_error(STANDSTILL_TIMEOUT, self.speeds)

@@ -494,27 +494,6 @@ class FailingLink(LinkWrapper):
         return failed
 
 
-class DamagedLink(LinkWrapper):
-    """Feedback of which each piece is damaged with a probability of 30 %."""
-
-    def __init__(self, link: Link) -> None:
-        super().__init__(link)
-        self._rng = np.random.default_rng(0)
-
-    def advance(self, period: float) -> bytes:
-        data = self.inner.advance(period)
-        if not data or self._rng.random() > 0.3:
-            return data
-        place = int(self._rng.integers(len(data)))
-        flipped = bytes([data[place] ^ 1 << int(self._rng.integers(8))])
-        return (
-            data[:place] + flipped + data[place + 1 :],
-            data[:place],
-            data + data,
-            data[:place] + self._rng.bytes(64) + data[place:],
-        )[self._rng.integers(4)]
-
-
 class Sibling(Link):
     """A board as code of sibling robots has it, with integer arithmetic and nothing of ours.
 

@@ -99,15 +99,6 @@ class EmulatedPad:
             os.close(self._slave)
             os.close(self._master)
 
-    def let_go(self) -> None:
-        """Close both ends in a forked process, which opens `path` by itself."""
-        os.close(self._slave)
-        os.close(self._master)
-
-    def type_keys(self, keys: bytes) -> None:
-        """Send what a keyboard types."""
-        os.write(self._master, keys)
-
     def send(self, events: Iterable[InputEvent]) -> None:
         os.write(self._master, _pack(events))
 

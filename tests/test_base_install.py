@@ -74,12 +74,9 @@ def test_base_drives_over_a_serial_device(hidden: list[str], shared_device: str)
 @pytest.mark.parametrize(
     ("command", "said"),
     [
-        ("evaluate --policy turn_drive --env point_goal --link planar", "an evaluation: scipy"),
         ("evaluate --link planar", "running a policy: deploy"),
         ("identify DEVICE", "identification: scipy"),
-        ("worlds show clutter:1-1", "a world with obstacles: scipy"),
         ("bench", "the PyBullet robot: bullet"),
-        ("drive --link mujoco --linear 0.1 --duration 0.1", "the MuJoCo robot: mujoco"),
     ],
 )
 @pytest.mark.slow

@@ -26,7 +26,6 @@ from acsar_gym.tools.cli.commands import COMMANDS
 ROOT = Path(__file__).resolve().parents[1]
 DEPLOY = ASSETS / "deploy"
 UNITS = sorted(DEPLOY.glob("*.service"))
-RULES = DEPLOY / "70-acsar.rules"
 PLACE = "/opt/acsar/bin/acsar-gym"
 """Where the units and the image have the command."""
 
@@ -79,17 +78,6 @@ def test_units_leave_the_watchdog_its_time() -> None:
     assert "PrivateTmp" not in service  # acsar-gym estop listens in /tmp
 
 
-@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
-@pytest.mark.parametrize("path", UNITS, ids=lambda path: path.name)
-def test_units_are_valid_for_systemd(path: Path, tmp_path: Path) -> None:
-    copy = tmp_path / path.name
-    text = path.read_text(encoding="utf-8").replace(PLACE, sys.executable)
-    copy.write_text(text, encoding="utf-8")
-    command = ["systemd-analyze", "verify", str(copy)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert [line for line in done.stderr.splitlines() if path.name in line] == []
-
-
 def test_images_install_extras_that_exist() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     text = (DEPLOY / "Dockerfile").read_text(encoding="utf-8")
@@ -97,14 +85,8 @@ def test_images_install_extras_that_exist() -> None:
     assert {"deploy", *extras} <= set(project["optional-dependencies"])
 
 
-def test_udev_rules_are_valid() -> None:
-    assert 'SYMLINK+="acsar"' in RULES.read_text(encoding="utf-8")
-    if shutil.which("udevadm") is None:
-        pytest.skip("needs udevadm")
-    done = subprocess.run(["udevadm", "verify", RULES], capture_output=True, text=True, check=False)
-    if "Unknown command" in done.stderr:
-        pytest.skip("needs udevadm of systemd 254 or newer")
-    assert done.returncode == 0, done.stderr
+def test_udev_rules_give_the_robot_its_name() -> None:
+    assert 'SYMLINK+="acsar"' in (DEPLOY / "70-acsar.rules").read_text(encoding="utf-8")
 
 
 AS_USER = () if os.geteuid() == 0 else ("--user", "--map-current-user")

@@ -12,58 +12,33 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from serial_tools import cli
 
 from acsar_gym.errors import ConfigError, escape_unprintable
-from acsar_gym.tools.cli import main
 
 WORLD = '{{"name": {}, "start": {{"x": 0, "y": 0}}, "goal": {{"x": 4, "y": 0}}}}'
 
 
-class Call:
-    """Runs a command in this process."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-        self.monkeypatch = monkeypatch
-        self.capsys = capsys
-
-    def __call__(self, *arguments: str | Path) -> tuple[int, str, str]:
-        """Return the exit code and what was printed."""
-        self.monkeypatch.setattr(sys, "argv", ["acsar-gym", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        assert isinstance(ended.value.code, int)
-        return ended.value.code, *self.capsys.readouterr()
-
-
-@pytest.fixture
-def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Call:
-    return Call(monkeypatch, capsys)
-
-
-def test_robot_file_that_is_hostile_is_one_line(tmp_path: Path, call: Call) -> None:
+def test_robot_file_that_is_hostile_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     path.write_text("[" + "[]," * 20_000 + "]")
-    code, _, error = call("run", "1", "0", f"--robot={path}")
-    assert code == 2, error
-    assert error.startswith("acsar-gym: ")
-    assert error.count("\n") == 1
-    assert "must be a mapping" in error
+    done = cli("run", "1", "0", f"--robot={path}")
+    assert done.returncode == 2
+    assert done.stderr.startswith("acsar-gym: ")
+    assert done.stderr.count("\n") == 1
+    assert "must be a mapping" in done.stderr
 
 
 @pytest.mark.parametrize("name", ["\x1b]0;title\x07\x9b31m\r", "a\u202eb"])
-def test_names_reach_the_terminal_without_control_characters(
-    name: str, tmp_path: Path, call: Call
-) -> None:
+def test_names_reach_the_terminal_without_control_characters(name: str, tmp_path: Path) -> None:
     path = tmp_path / "world.json"
     path.write_text(WORLD.format(json.dumps(name)))
-    code, out, _ = call("worlds", "check", path)
-    assert code == 0
-    assert escape_unprintable(name) in out
-    assert all(c.isprintable() or c == "\n" for c in out)
-
-    _, _, error = call("run", "1", "0", "--link", f"\x1b[31m{name}")
-    assert error.startswith("acsar-gym: unknown link '\\x1b[31m")
-    assert all(c.isprintable() or c == "\n" for c in error)
+    shown = cli("worlds", "check", path)
+    assert shown.returncode == 0
+    assert escape_unprintable(name) in shown.stdout
+    refused = cli("run", "1", "0", "--link", f"\x1b[31m{name}")
+    assert refused.stderr.startswith("acsar-gym: unknown link '\\x1b[31m")
+    assert all(c.isprintable() or c == "\n" for c in shown.stdout + refused.stderr)
 
 
 def test_names_are_escaped_on_a_terminal_without_unicode(tmp_path: Path) -> None:

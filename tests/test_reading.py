@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from disk_tools import full_disk
 
 from acsar_gym import RobotConfig, reading
-from acsar_gym.errors import AcsarError, ConfigError, PolicyError
-from acsar_gym.worlds import files, generators
+from acsar_gym.errors import ConfigError, PolicyError
 
 
 def test_read_file_reads_up_to_the_limit(tmp_path: Path) -> None:
@@ -41,28 +38,16 @@ def test_read_file_refuses_what_is_not_a_regular_file(tmp_path: Path) -> None:
             reading.read_file(path, 100)
 
 
-@pytest.mark.parametrize("name", ["no/file", "a\0b"])
-def test_write_atomically_fails_in_one_line(name: str, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="can't be written: "):
-        reading.write_atomically(tmp_path / name, b"data")
-
-
-WRITERS: dict[str, Callable[[Path], object]] = {
-    "robot.yaml": lambda path: RobotConfig.preset("jackal").save(path),
-    "world.yaml": lambda path: files.save_world(generators.generate_world("clutter", 1), path),
-}
-
-
-@pytest.mark.parametrize("name", WRITERS)
-def test_write_atomically_leaves_the_old_file_on_a_full_disk(name: str, tmp_path: Path) -> None:
-    path = tmp_path / name
+def test_write_atomically_leaves_the_old_file_on_a_full_disk(tmp_path: Path) -> None:
+    path = tmp_path / "robot.yaml"
     old = b"max_linear: 0.4\n"  # a robot's file is changed in place, so it must be valid
     path.write_bytes(old)
-    with full_disk(50), pytest.raises((AcsarError, OSError), match="File too large"):
-        WRITERS[name](path)
-    assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [(name, old)]
+    robot = RobotConfig.preset("jackal")
+    with full_disk(50), pytest.raises(ConfigError, match="can't be written: File too large"):
+        robot.save(path)
+    assert [file.read_bytes() for file in tmp_path.iterdir()] == [old]
 
-    WRITERS[name](path)
+    robot.save(path)
     assert len(path.read_bytes()) > 50
     assert list(tmp_path.iterdir()) == [path]
 
@@ -101,32 +86,20 @@ def test_write_atomically_writes_to_standard_output(tmp_path: Path) -> None:
     assert (tmp_path / "out").read_bytes() == b"whole"
 
 
-BAD_MODULES = {"unreadable": "x = = 1\n", "raising": "1 / 0\n"}
-
-
-@pytest.fixture
-def bad_modules(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    for name, text in BAD_MODULES.items():
-        (tmp_path / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    importlib.invalidate_caches()
-    yield
-    for name in BAD_MODULES:
-        sys.modules.pop(name, None)
-
-
-@pytest.mark.usefixtures("bad_modules")
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("unreadable:X", "module unreadable can't be imported: SyntaxError: "),
         ("raising:X", "module raising can't be imported: ZeroDivisionError: division by zero"),
         ("nowhere:X", "No module named 'nowhere'"),
         ("math:X", "has no attribute 'X'"),
         ("a..b:c", "must be like 'module:Class'"),
     ],
 )
-def test_import_object_refuses_a_bad_name_in_one_line(name: str, reason: str) -> None:
+def test_import_object_refuses_a_bad_name_in_one_line(
+    name: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "raising.py").write_text("1 / 0\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(ConfigError, match=reason) as caught:
         reading.import_object("sensor", name)
     assert str(caught.value).startswith(f"sensor = {name!r}: ")
@@ -135,7 +108,7 @@ def test_import_object_refuses_a_bad_name_in_one_line(name: str, reason: str) ->
 
 @pytest.mark.parametrize(
     "text",
-    ["NaN", "1e999", "[" * 100_000, "9" * 5_000, "[1,]", b"\xff"],
+    ["NaN", "[" * 100_000, "9" * 5_000, b"\xff"],
     ids=lambda text: str(text)[:20],
 )
 def test_parse_json_refuses_bad_text_in_one_line(text: str | bytes) -> None:

@@ -1,11 +1,13 @@
-"""Importing the package registers its ids, and imports nothing slow."""
+"""Importing the package registers its ids, and imports nothing slow. Imports have no circles."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
+import grimp
 import pytest
 
 import acsar_gym
@@ -64,3 +66,10 @@ def test_import_has_all_names() -> None:
     with pytest.raises(AttributeError, match="no attribute 'saftey'"):
         _ = acsar_gym.saftey
     assert not hasattr(acsar_gym, "__path_of_nothing__")
+
+
+def test_imports_have_no_circles() -> None:
+    graph = grimp.build_graph("acsar_gym", exclude_type_checking_imports=True)
+    imports = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+    assert len(imports) > 100
+    TopologicalSorter(imports).prepare()  # which raises CycleError

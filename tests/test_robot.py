@@ -17,7 +17,7 @@ from acsar_gym.errors import (
     LinkError,
     WheelError,
 )
-from acsar_gym.protocol import ZERO
+from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.recording import Recorder, read
 from acsar_gym.testing import ScriptedLink
 from acsar_gym.worlds import Scene
@@ -33,6 +33,12 @@ def standing(*answers: bytes, then: bytes = STILL) -> tuple[Robot, ScriptedLink]
     robot = Robot(link, RobotConfig())
     robot.activate()
     return robot, link
+
+
+def assert_stopped(link: ScriptedLink) -> None:
+    """The last command is zero, and the link was closed once."""
+    assert link.commands[-1] == ZERO
+    assert link.closed == 1
 
 
 def test_drive_is_never_late_with_its_first_command(tmp_path: Path) -> None:
@@ -57,8 +63,7 @@ def test_activate_twice_is_once_and_the_last_command_is_zero() -> None:
     robot.tick((5.0, 5.0, 5.0, 5.0))
     robot.deactivate()
     robot.deactivate()
-    assert link.closed == 1
-    assert link.commands[-1] == ZERO
+    assert_stopped(link)
 
 
 def test_exit_after_an_exception_stops_the_wheels() -> None:
@@ -66,8 +71,7 @@ def test_exit_after_an_exception_stops_the_wheels() -> None:
     with pytest.raises(ZeroDivisionError), Robot(link, RobotConfig()) as robot:
         robot.tick((5.0, 5.0, 5.0, 5.0))
         raise ZeroDivisionError
-    assert link.commands[-1] == ZERO
-    assert link.closed == 1
+    assert_stopped(link)
 
 
 @pytest.mark.parametrize("bad", [(math.nan, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, math.inf)])
@@ -75,29 +79,31 @@ def test_tick_refuses_bad_commands_and_stops_the_wheels(bad: tuple[float, ...]) 
     robot, link = standing()
     with pytest.raises(CommandError):
         robot.drive(*bad) if len(bad) == 2 else robot.tick(bad)
-    assert link.commands[-1] == ZERO
-    assert link.closed == 1
+    assert_stopped(link)
     with pytest.raises(LinkError, match="activate"):
         robot.tick(ZERO)
 
 
-def test_tick_takes_the_newest_line_and_keeps_missing_motors() -> None:
-    robot, _ = standing(LINE.replace(b"0", b"1") + LINE + b"ap0", b"9.00\r\n", b"bn07.00\r\n")
-    speeds = []
+def tick_thrice(robot: Robot) -> list[tuple[Speeds, float]]:
+    """Wheel speeds and their age after each tick."""
+    results = []
     for _ in range(3):
         robot.tick(ZERO)
-        speeds.append(robot.speeds)
-    assert speeds == [(1.0, 2.0, 3.0, 4.0), (9.0, 2.0, 3.0, 4.0), (9.0, -7.0, 3.0, 4.0)]
+        results.append((robot.speeds, robot.feedback_age))
+    return results
+
+
+def test_tick_takes_the_newest_line_and_keeps_missing_motors() -> None:
+    robot, _ = standing(LINE.replace(b"0", b"1") + LINE + b"ap0", b"9.00\r\n", b"bn07.00\r\n")
+    rear = (3.0, 4.0)
+    speeds = [(1.0, 2.0, *rear), (9.0, 2.0, *rear), (9.0, -7.0, *rear)]
+    assert tick_thrice(robot) == [(row, 0.0) for row in speeds]
 
 
 def test_tick_holds_the_last_reading_which_ages() -> None:
     robot, _ = standing(LINE, then=b"")
     robot.tick(ZERO)
-    ages = []
-    for _ in range(3):
-        robot.tick(ZERO)
-        ages.append(robot.feedback_age)
-    assert ages == pytest.approx([0.01, 0.02, 0.03])
+    assert [age for _, age in tick_thrice(robot)] == pytest.approx([0.01, 0.02, 0.03])
     assert robot.odometry.wheel_positions == pytest.approx((0.04, 0.08, 0.12, 0.16))
 
 
@@ -111,8 +117,7 @@ def test_silence_ends_with_an_error_and_a_stop(listens: bool) -> None:
             ticks += 1
             robot.listen() if listens else robot.tick((5.0, 5.0, 5.0, 5.0))
     assert 45 <= ticks <= 55
-    assert link.commands[-1] == ZERO
-    assert link.closed == 1
+    assert_stopped(link)
 
 
 def test_tick_shows_garbage() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import dataclasses
 import importlib
-import inspect
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -88,12 +87,6 @@ def test_ros_package_names_all_imported_packages_of_ros() -> None:
     assert (imported | launched) - ours <= named
 
 
-@pytest.mark.parametrize("program", ["driver", "policy"])
-def test_ros_programs_are_functions(program: str) -> None:
-    module, _, name = PROGRAMS[program].partition(":")
-    assert callable(getattr(importlib.import_module(module), name))
-
-
 @pytest.mark.parametrize("path", LAUNCHED, ids=lambda path: path.name)
 def test_launch_files_start_programs_with_options_that_they_have(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
@@ -104,7 +97,8 @@ def test_launch_files_start_programs_with_options_that_they_have(path: Path) -> 
     options = set(ast.literal_eval(names))
     assert used | options == declared
     (program,) = re.findall(r'package="acsar_gym",\s+executable="(\w+)"', text)
-    assert program in PROGRAMS
+    module, _, name = PROGRAMS[program].partition(":")
+    assert callable(getattr(importlib.import_module(module), name))
     if (command := COMMANDS.get(f"ros {program}")) is not None:
         assert options <= set(list_options(command.function))
     (file,) = re.findall(r'"(\w+\.yaml)"', text)
@@ -138,8 +132,4 @@ def test_rviz_shows_what_the_nodes_publish() -> None:
     }
     assert topics == {"Odometry": "/odom", "LaserScan": "/scan", "Path": "/plan"}
     assert manager["Global Options"]["Fixed Frame"] == ACSAR.odom_frame
-    (goal,) = (tool for tool in manager["Tools"] if tool["Class"].endswith("/SetGoal"))
-    assert goal["Topic"]["Value"] == "/goal_pose"
-    published = inspect.getsource(driver)
-    assert all(f'publish("{name}"' in published for name in ("odom", "scan"))
     assert DRIVER_NODE == "acsar_driver"

@@ -23,41 +23,36 @@ def parameters(file: str, node: str) -> dict[str, Any]:
     return node_parameters
 
 
+CONTROLLER = parameters("controllers.yaml", "diff_drive_controller")
+EKF = parameters("ekf.yaml", "ekf_filter_node")
+
+
 def test_diff_drive_controller_has_the_presets_numbers() -> None:
-    ours = parameters("controllers.yaml", "diff_drive_controller")
     for name in (
         *("wheel_radius", "wheel_separation", "wheel_separation_multiplier"),
         *("left_wheel_radius_multiplier", "right_wheel_radius_multiplier"),
     ):
-        assert ours[name] == getattr(ACSAR, name), name
-    assert ours["odom_frame_id"] == ACSAR.odom_frame
-    assert ours["publish_rate"] == ACSAR.feedback_rate
-    assert ours["cmd_vel_timeout"] == ACSAR.firmware.command_timeout
+        assert CONTROLLER[name] == getattr(ACSAR, name), name
+    assert CONTROLLER["odom_frame_id"] == ACSAR.odom_frame
+    assert CONTROLLER["publish_rate"] == ACSAR.feedback_rate
+    assert CONTROLLER["cmd_vel_timeout"] == ACSAR.firmware.command_timeout
     manager = parameters("controllers.yaml", "controller_manager")
     assert manager["update_rate"] == ACSAR.control_rate
 
-
-@pytest.mark.parametrize("axis", ["linear", "angular"])
-def test_diff_drive_controller_has_the_presets_limits(axis: str) -> None:
-    ours = parameters("controllers.yaml", "diff_drive_controller")
-    limits = getattr(ACSAR, f"{axis}_limits")
-    assert [*limits.model_dump(exclude_none=True)] == ["max_acceleration"]
-    assert {
-        name.partition(".")[2][2:]: value for name, value in ours.items() if name.startswith(axis)
-    } == {
-        "max_velocity": getattr(ACSAR, f"max_{axis}"),
-        "min_velocity": -getattr(ACSAR, f"max_{axis}"),
-        "max_acceleration": limits.max_acceleration,
-        "max_deceleration": -limits.max_acceleration,
-    }
+    for axis in ("linear.x", "angular.z"):
+        word = axis.partition(".")[0]
+        top = getattr(ACSAR, f"max_{word}")
+        (limit,) = getattr(ACSAR, f"{word}_limits").model_dump(exclude_none=True).values()
+        limits = {"max_velocity": top, "min_velocity": -top}
+        limits |= {"max_acceleration": limit, "max_deceleration": -limit}
+        read = {name: value for name, value in CONTROLLER.items() if name.startswith(axis)}
+        assert read == {f"{axis}.{name}": value for name, value in limits.items()}
 
 
 def test_diff_drive_controller_has_the_joints_and_frames_of_the_urdf() -> None:
-    ours = parameters("controllers.yaml", "diff_drive_controller")
-    ekf = parameters("ekf.yaml", "ekf_filter_node")
     root = ElementTree.fromstring(URDF.read_text())
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        for name in ours[f"{side}_wheel_names"]:
+        for name in CONTROLLER[f"{side}_wheel_names"]:
             (origin,) = root.iterfind(f"joint[@name='{name}']/origin")
             assert sign * float(origin.attrib["xyz"].split()[1]) > 0.0
             (joint,) = root.iterfind(f"ros2_control/joint[@name='{name}']")
@@ -68,19 +63,17 @@ def test_diff_drive_controller_has_the_joints_and_frames_of_the_urdf() -> None:
     assert plugin.text == "acsar_hardware/ACSARInterface"
     children = {child.attrib["link"] for child in root.iterfind("joint/child")}
     (first,) = {link.attrib["name"] for link in root.iterfind("link")} - children
-    assert ours["base_frame_id"] == ekf["base_link_frame"] == first == "base_footprint"
+    assert CONTROLLER["base_frame_id"] == EKF["base_link_frame"] == first == "base_footprint"
 
 
 def test_ekf_agrees_with_controller_and_preset() -> None:
-    ours = parameters("controllers.yaml", "diff_drive_controller")
-    ekf = parameters("ekf.yaml", "ekf_filter_node")
-    assert ekf["odom_frame"] == ekf["world_frame"] == ACSAR.odom_frame
-    assert ekf["frequency"] == ACSAR.control_rate
-    assert ekf["sensor_timeout"] == ACSAR.feedback_timeout
-    assert ekf["publish_tf"] != ours["enable_odom_tf"]  # one of them
-    used = [number for number, on in enumerate(ekf["odom0_config"]) if on]
+    assert EKF["odom_frame"] == EKF["world_frame"] == ACSAR.odom_frame
+    assert EKF["frequency"] == ACSAR.control_rate
+    assert EKF["sensor_timeout"] == ACSAR.feedback_timeout
+    assert EKF["publish_tf"] != CONTROLLER["enable_odom_tf"]  # one of them
+    used = [number for number, on in enumerate(EKF["odom0_config"]) if on]
     assert used == [6, 11]  # vx and vyaw of 15 states: wheels don't measure vy
-    assert len(ekf["odom0_config"]) == 15
+    assert len(EKF["odom0_config"]) == 15
 
 
 def test_firmware_has_the_numbers_of_its_preset() -> None:

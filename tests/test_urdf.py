@@ -29,11 +29,6 @@ def client() -> Iterator[int]:
     pybullet.disconnect(number)
 
 
-def rolled(config: RobotConfig) -> float:
-    """How far wheels that turn from rest roll without slipping [m]."""
-    return config.wheel_radius * SPEED * SECONDS
-
-
 def run(client: int, seconds: float) -> None:
     for _ in range(round(seconds * 240)):
         pybullet.stepSimulation(physicsClientId=client)
@@ -63,21 +58,17 @@ def test_urdf_rolls_on_its_wheels_in_pybullet(client: int) -> None:
         )
     run(client, SECONDS)
     (x, y, z), _ = pybullet.getBasePositionAndOrientation(robot, physicsClientId=client)
-    assert x == pytest.approx(rolled(config), rel=0.05)
+    assert x == pytest.approx(config.wheel_radius * SPEED * SECONDS, rel=0.05)
     assert (y, z) == pytest.approx((0.0, 0.0), abs=0.005)
 
 
-def test_urdf_parameters_agree_with_the_preset() -> None:
+def test_urdf_agrees_with_the_preset() -> None:
     loaded = RobotConfig.load(URDF)
     assert loaded.serial_port == "/dev/ttyUSB0"
-    assert loaded.with_(serial_port=None) == RobotConfig.preset("acsar")
-
-
-def test_urdf_joints_are_placed_as_the_parameters_say() -> None:
     config = RobotConfig.preset("acsar")
-    root = ElementTree.fromstring(URDF.read_text())
-    (origin,) = root.iterfind("joint[@name='front_left_wheel_joint']/origin")
+    assert loaded.with_(serial_port=None) == config
+    (origin,) = ElementTree.fromstring(URDF.read_text()).iterfind(
+        "joint[@name='front_left_wheel_joint']/origin"
+    )
     x, y, _ = map(float, origin.attrib["xyz"].split())
     assert (2.0 * x, 2.0 * y) == pytest.approx((config.wheelbase, config.wheel_separation))
-    masses = [float(mass.attrib["value"]) for mass in root.iter("mass")]
-    assert sum(masses) == pytest.approx(config.body.mass)

@@ -54,6 +54,7 @@ def parse_numbers(text: str) -> range | None:
         )
 
     first, last, split = match.groups()
+    # Named splits hold robots out for validation and tests.
     if split:
         return SPLITS[split]
     numbers = range(int(first), int(last or first) + 1)
@@ -162,6 +163,7 @@ def _fit_width(length: float, radius: float) -> float:
     """Width of a rectangle whose corners are at exactly this distance from its middle [m]."""
     half = length / 2.0
     half_width = math.sqrt(radius * radius - length * length / 4.0)
+    # Rounding may miss the radius by the last bit, which worlds are made for.
     while math.hypot(half, half_width) < radius:
         half_width = math.nextafter(half_width, math.inf)
     while math.hypot(half, half_width) > radius:

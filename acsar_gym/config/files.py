@@ -36,6 +36,7 @@ def find_file(robot: str) -> Path:
     Raises:
         ConfigError: There is no such preset, or the text names several robots.
     """
+    # Names with commas are fleets, but a file may have any name.
     if "," in robot and not Path(robot).exists():
         raise ConfigError(f"robot = {show_value(robot)}: {MANY_ROBOTS}")
     return Path(robot) if Path(robot).suffix or "/" in robot else find_preset(robot)
@@ -62,6 +63,7 @@ def read_fields(path: Path, names: Collection[str]) -> dict[str, Any]:
     if path.suffix not in YAML_SUFFIXES:
         raise ConfigError(f"isn't .yaml, .yml or .urdf: {SIX_NUMBERS}")
 
+    # A file of ROS is recognized by its content, since it is YAML as well.
     text = read_text(path)
     nodes = importers.find_parameters(reading.parse_yaml(text))
     return importers.read_controller(nodes) if nodes else read_own_fields(text, names)

@@ -61,6 +61,7 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     names = tuple(_name(robot, place) for place, robot in enumerate(sources[:most]))
     fleet = Fleet(robots, names)
 
+    # All robots of a batch send and receive in the same ticks.
     for place in range(1, len(robots)):
         for path in SHARED_FIELDS:
             check_equal(fleet, place, path)
@@ -72,6 +73,7 @@ def _list_sources(source: FleetSource) -> list[RobotSource]:
     if not isinstance(source, str):
         return [*source] if isinstance(source, Sequence) else [source]
 
+    # Counts and ranges may be mixed: "24xjackal,drawn:0-7".
     names: list[RobotSource] = []
     for match in map(_COUNTED.fullmatch, source.split(",")):
         if match is not None:

@@ -39,6 +39,7 @@ def make_rectangle(length: float, width: float) -> Outline:
 def make_circle(radius: float) -> Outline:
     """Return corners of a circle: the first at exactly this radius [m], the rest 2 um nearer."""
     angles = [math.tau * k / CIRCLE_CORNERS for k in range(1, CIRCLE_CORNERS)]
+    # Rounding to micrometres must not move a corner beyond the first.
     near = radius - 2e-6
     corners = [
         (round(near * math.cos(a), 6) + 0.0, round(near * math.sin(a), 6) + 0.0) for a in angles
@@ -65,6 +66,7 @@ def validate_outline(corners: Sequence[Point]) -> Outline:
     if not (turns.min() > -ROUNDING and turns.sum() < 3.0 * math.pi):
         raise ValueError("must be a convex polygon with its corners in order around it")
 
+    # Rays and collisions start from the origin.
     is_inside = contains_point(outline, 0.0, 0.0)
     if not is_inside or border_distance(outline, 0.0, 0.0) < MIN_BORDER_DISTANCE:
         raise ValueError("must have the origin of the base frame (0, 0) inside")
@@ -74,6 +76,7 @@ def validate_outline(corners: Sequence[Point]) -> Outline:
 def _find_turns(outline: Outline) -> NDArray[np.float64]:
     """Angles to the left from each side to the next [rad], NaN if corners are equal."""
     corners = np.array(outline) @ (1.0, 1.0j)
+    # Complex numbers turn by multiplication.
     sides = np.roll(corners, -1) - corners
     turns = np.angle(np.roll(sides, -1) * sides.conj())
     return np.where(sides == 0.0, math.nan, turns)
@@ -134,6 +137,7 @@ def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArra
     reaches = np.zeros(np.shape(bearings))
     cos = np.cos(bearings)
     sin = np.sin(bearings)
+    # In the frame of each ray: along it, and to its left.
     corners = [(px - place[0], py - place[1]) for px, py in outline]
     along = [cos * x + sin * y for x, y in corners]
     across = [cos * y - sin * x for x, y in corners]
@@ -155,5 +159,6 @@ def _distance(p: Point, a: Point, b: Point) -> float:
     ey = b[1] - a[1]
     square = ex * ex + ey * ey
     share = ((p[0] - a[0]) * ex + (p[1] - a[1]) * ey) / square if square > 0.0 else 0.0
+    # Beyond an end of the segment, the end is nearest.
     share = min(max(share, 0.0), 1.0)
     return math.hypot(p[0] - a[0] - share * ex, p[1] - a[1] - share * ey)

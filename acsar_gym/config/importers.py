@@ -61,12 +61,14 @@ def read_urdf(text: str, names: Collection[str]) -> dict[str, Any]:
     except (ParseError, DefusedXmlException, ValueError) as error:
         raise ConfigError(f"not a valid URDF: {error}") from error
 
+    # Joints in the block have params as well, which are others.
     params = {
         param.get("name", ""): (param.text or "").strip()
         for block in root.iter("ros2_control")
         if block.findtext("hardware/plugin", DRIVER_PLUGIN).strip().endswith(DRIVER_PLUGIN)
         for param in block.iterfind("hardware/param")
     }
+    # Unknown parameters are the driver's own, unless they look like a misspelt field.
     parameters = [name for name in names if name not in SIMULATION_FIELDS]
     for name in params:
         near = difflib.get_close_matches(name, parameters, n=1, cutoff=0.85)
@@ -119,6 +121,7 @@ def read_controller(nodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         ConfigError: The file doesn't have exactly one such controller, or its parameters are
             nested, or aren't numbers.
     """
+    # The geometry tells controllers apart, since their names are the user's choice.
     drives = [node for node in nodes if {*GEOMETRY_FIELDS[:2]} <= node.keys()]
     if len(drives) != 1 or any(isinstance(value, Mapping) for value in drives[0].values()):
         raise ConfigError(
@@ -141,6 +144,7 @@ def read_controller(nodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     fields["wheel_joints"] = _read_joints(params)
     separation = fields["wheelbase"] = params["wheel_separation"]
     multiplier = params.get("wheel_separation_multiplier", 1.0)
+    # 1 + (wheelbase / separation)^2 is the multiplier of four wheels that skid.
     try:
         if multiplier > SKIDS:
             fields["wheelbase"] = round(separation * math.sqrt(multiplier - 1.0), 6)

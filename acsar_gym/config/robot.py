@@ -72,6 +72,7 @@ def whole_ratio(fast_name: str, fast: float, slow_name: str, slow: float) -> int
     if slow < LEAST_RATE:
         raise ConfigError(f"{slow_name} = {slow:g} Hz: must be at least {LEAST_RATE:g} Hz")
 
+    # Rates like 1 / 0.03 are whole multiples up to rounding.
     nearest = round(min(ratio, 1e9))
     if nearest < 1 or not math.isclose(ratio, nearest, rel_tol=1e-9):
         raise ConfigError(
@@ -239,6 +240,7 @@ class RobotConfig(Section):
     @model_validator(mode="after")
     def _wire_is_fast_enough(self) -> Self:
         """Check that the baud rate can carry the lines of the control and feedback rates."""
+        # Commands and feedback have the same format, each on its own line of the cable.
         line = LINE_BYTES + self.trailing_comma
         lines = self.baud_rate / (BITS_PER_BYTE * line)
         rates = {"control_rate": self.control_rate, "firmware.feedback_rate": self.feedback_rate}
@@ -267,6 +269,7 @@ class RobotConfig(Section):
                 f"periods of the feedback at {rate:g} Hz"
             )
 
+        # The simulated firmware averages over whole loops.
         window = self.encoder.window
         if not 1.0 - 1e-9 <= window * loop <= MAX_ENCODER_SAMPLES:
             raise ConfigError(
@@ -384,6 +387,7 @@ class RobotConfig(Section):
         Raises:
             ConfigError: A field is unknown, or a value is bad.
         """
+        # Validate everything again, as fields depend on each other.
         fields = self.model_dump()
         for name, value in changes.items():
             is_section = isinstance(fields.get(name), dict) and name != "measured"
@@ -478,6 +482,7 @@ class RobotConfig(Section):
             raise ConfigError(f"robot = {show_value(robot)}: {must}")
         from acsar_gym.config import drawn, files  # noqa: PLC0415 - NumPy, and the parsers
 
+        # Drawn robots first, as their names could be files of a folder.
         numbers = drawn.parse_numbers(robot)
         if numbers is None:
             return cls.load(files.find_file(robot))

@@ -68,6 +68,7 @@ def save_robot(
     except ConfigError:  # a file to replace, since `check_target` accepted it
         text, old = _make_default(type(robot))
 
+    # Remarks that are written again below take their place.
     for remark in outdated:
         text = text.replace(_comment(remark), "")
     text = _change_text(text, find_differences(robot, old))
@@ -133,6 +134,7 @@ def _change_text(text: str, changes: Mapping[str, Any]) -> str:
 
     if not changes:
         return text
+    # Loaded by the editor, so that new values have the style of our files.
     additions = editor.load(reading.format_yaml(dict(changes)))
     if document is None:  # the file has no fields, but may have comments
         document = additions
@@ -140,6 +142,7 @@ def _change_text(text: str, changes: Mapping[str, Any]) -> str:
         head = text if text.endswith("\n") else f"{text}\n"
     else:
         _update(document, additions)
+    # Keep the indentation that the file has.
     if indent:
         editor.indent(mapping=indent - (dash or 0), sequence=indent, offset=dash or 0)
     stream = io.StringIO()
@@ -152,6 +155,7 @@ def _update(present: dict[str, Any], changes: Mapping[str, Any]) -> None:
     for name, value in changes.items():
         old = present.get(name)
         if isinstance(value, dict) and isinstance(old, dict):
+            # Fields that differ are listed one by one, but intervals belong together.
             if name == "measured":
                 for outdated in old.keys() - value.keys():
                     del old[outdated]

@@ -48,10 +48,12 @@ class Section(BaseModel):
     @classmethod
     def _describe_problem(cls, item: Any) -> str:
         """Field, value and allowed range of an error of pydantic."""
+        # Names come from users' files and may be very long.
         path = [str(name)[:40] for name in item["loc"]]
         field = ".".join([cls.section, *path] if cls.section else path)
         if item["type"] == "missing":
             return f"{field!r} is missing"
+        # A similar name is the best hint, unless another program has a name for it.
         if item["type"] == "extra_forbidden":
             name = str(item["loc"][-1])
             hint = cls.hints.get(name)
@@ -91,6 +93,7 @@ def per_wheel(bounds: Any) -> WrapValidator:
     )
 
     def checked(value: Any, _: Any) -> PerWheel:
+        # The adapter is called for each number, so that errors name the number.
         if not isinstance(value, list | tuple):
             return adapter.validate_python(value)
         if len(value) != 4:

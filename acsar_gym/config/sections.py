@@ -96,6 +96,7 @@ class LidarConfig(Section):
                 f"lidar.min_range = {self.min_range:g}: must be less than lidar.max_range = "
                 f"{self.max_range:g} m"
             )
+        # A scan that is complete must not be too old already.
         if self.timeout < 1.5 / self.rate:
             raise ConfigError(
                 f"lidar.timeout = {self.timeout:g} s: must be at least one and a half periods of "
@@ -346,6 +347,7 @@ def list_joints(value: Any) -> Any:
     """Return names in the order a, b, c, d. Raises ValueError if they aren't four, or two sides."""
     if value is None:
         return None
+    # A robot with two driven wheels names each side once.
     if isinstance(value, Mapping):
         order = ("right", "left", "left", "right") if "left" in value else tuple(WIRE_LETTERS)
         value = [value[key] for key in order] if value.keys() == {*order} else []
@@ -451,6 +453,7 @@ class SpeedLimits(Section):
     @classmethod
     def _without_unset(cls, value: Any, info: ValidationInfo) -> Any:
         """Return None for ROS's words for no limit."""
+        # ROS writes NaN, and for jerks 0, for no limit.
         is_number = isinstance(value, float | int)
         is_jerk = str(info.field_name).endswith("_jerk")
         return None if is_number and (math.isnan(value) or (is_jerk and not value)) else value
@@ -549,6 +552,8 @@ def validate_measured(measured: Mapping[str, Measured], model: type[Section]) ->
         adapter = _find_number(model, name)
         if adapter is None:
             raise ConfigError(f"measured: unknown field {name[:60]!r}: must be like 'motor.gain.a'")
+
+        # Both ends have the bounds of the field itself.
         for end in ("low", "high"):
             value = getattr(interval, end)
             try:
@@ -588,6 +593,7 @@ def update_measured(
         findings: New intervals by the names of their fields. None removes an interval.
     """
     result = dict(measured)
+    # Split an interval of all wheels before one of them gets its own.
     for name in findings:
         field, _, wheel = name.rpartition(".")
         if wheel in WIRE_LETTERS and field in result:

@@ -72,6 +72,7 @@ class LidarSensor(Sensor):
     @property
     def revolution(self) -> Revolution:
         """The newest revolution at the end of the last tick. LidarError before a reset."""
+        # Without a position, measurements have no place.
         if self._trail.newest < 0:
             raise LidarError("the LiDAR has no scan yet", "call reset() first")
         if self._revolution is None:
@@ -87,6 +88,7 @@ class LidarSensor(Sensor):
         if isinstance(self.lidar, SimulatedLidar):
             return newest
         name = type(self.lidar).__name__
+        # Checking takes longer than a scan lasts, so each revolution is checked once.
         if newest is not self._unchecked or newest is None:
             self._checked = check_revolution(newest, name)
             self._unchecked = newest
@@ -122,6 +124,7 @@ class LidarSensor(Sensor):
         self._trail.mark(now, self.odometry.pose)
         self._revolution = None
         self._scan = None
+        # A device measures by itself. The simulated LiDAR has to see each tick.
         if self._poll_lidar is None:
             self._revolution = self._measure()
         else:

@@ -50,6 +50,7 @@ def draw_normal(rngs: Any, i: int) -> float:
     Returns:
         The number.
     """
+    # 1 - u is never 0, so the logarithm is finite.
     radius = math.sqrt(-2.0 * math.log(1.0 - draw_uniform(rngs, i)))
     return radius * math.cos(2.0 * math.pi * draw_uniform(rngs, i))
 

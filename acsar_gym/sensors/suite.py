@@ -151,6 +151,7 @@ class Sensors(Sequence[Sensor]):
             return np.zeros(0)
         self._newest = self._look()
         readings = []
+        # NaN shows which numbers a sensor didn't fill in.
         for sensor, robot in self._inputs():
             reading = np.full((1, sensor.size), np.nan)
             with naming_sensor(sensor):
@@ -238,6 +239,7 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
         ConfigError: It isn't a sensor, or its name, size or bounds can't be used.
         AcsarError: The factory raises an error.
     """
+    # A factory may be any callable of the user.
     with translate_errors(AcsarError, lambda: f"sensors: {show_value(factory)}"):
         sensor = factory(link, config) if callable(factory) else factory
     name = getattr(sensor, "name", None)
@@ -246,6 +248,7 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
             f"sensors: {show_value(factory)} must be a subclass of Sensor or a factory, whose name "
             f"is a word of letters, digits and _, not {show_value(name)}"
         )
+    # Other code finds built-in sensors by their names.
     if not isinstance(sensor, BUILT_IN.get(name, Sensor)):
         raise ConfigError(f"sensor {name!r}: that name is taken: rename yours")
 

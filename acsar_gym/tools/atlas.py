@@ -14,7 +14,6 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.render import top_view
 from acsar_gym.tools.evaluation import report
-from acsar_gym.tools.tile import draw_tile
 from acsar_gym.worlds import World
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.search import footprint_radius, lidar_height, path_length, shortest_path
@@ -28,6 +27,8 @@ COLUMNS = 4
 """Worlds next to each other on a sheet."""
 TILE_SIZE = 320
 """Width and height of each world [pixels]."""
+MAX_TITLE = 28
+"""Longest name on a world's picture [characters]."""
 
 
 def collect_worlds(
@@ -50,15 +51,28 @@ def collect_worlds(
     return worlds, list(report.watch_progress("making worlds", pool, size))
 
 
-def draw_worlds(worlds: Sequence[World], out: Path) -> None:
-    """Draw worlds next to each other as maps, x right and y up, and save them as a PNG file."""
+def draw_worlds(worlds: Sequence[World], out: Path, robot: str | None = None) -> None:
+    """Draw worlds next to each other, with the robot at their starts, and save a PNG file."""
+    view = top_view.TopView(RobotConfig.of(robot), (TILE_SIZE, TILE_SIZE))
     columns = min(COLUMNS, len(worlds))
     rows = math.ceil(len(worlds) / columns)
     image = np.full((rows * TILE_SIZE, columns * TILE_SIZE, 3), top_view.FLOOR_COLOUR, np.uint8)
     for index, world in enumerate(report.watch_progress("drawing worlds", worlds, len(worlds))):
+        start = world.start
+        movers = [(*m.position(0.0), *m.velocity(0.0), m.radius) for m in world.movers]
+        frame = top_view.TopViewFrame(
+            world=world,
+            odom=(start.x, start.y, start.theta or 0.0),
+            goal=(world.goal.x, world.goal.y),
+            goal_radius=world.goal.radius,
+            movers=np.reshape(movers, (-1, 5)),
+            caption=world.name[:MAX_TITLE],
+        )
+
+        # Tiles fill the sheet row by row.
         row = TILE_SIZE * (index // columns)
         column = TILE_SIZE * (index % columns)
-        image[row : row + TILE_SIZE, column : column + TILE_SIZE] = draw_tile(world, TILE_SIZE)
+        image[row : row + TILE_SIZE, column : column + TILE_SIZE] = view.draw(frame)
     top_view.save_picture(image, out)
 
 
@@ -73,6 +87,7 @@ def check_worlds(worlds: Sequence[World], robot: str | None) -> list[dict[str, A
     radius = footprint_radius(RobotConfig.of(robot))
     findings = []
     for world in report.watch_progress("checking worlds", worlds, len(worlds)):
+        # A world that can't be crossed is a finding, not an error.
         shortest = None
         fault = ""
         try:

@@ -39,9 +39,11 @@ def run_demo(
 
     console.rule(f"3. drive {policy_file.name} over a serial device", align="left")
     log = out / "emulator.jsonl"
+    # The emulator is another process, so nothing but bytes connects policy and physics.
     with run_emulator("--body", "bullet", "--log", str(log)) as devices:
         robot = RobotConfig.of(None).with_(**PATIENCE)
         serial = _drive(policy, devices.robot, range(20_000, 20_000 + serial_episodes), robot)
+    # Only the emulator knows the true poses, which its log contains.
     errors = odometry_errors(serial.results, log)
     pairs = zip(serial.results, errors, strict=True)
     results = [replace(episode, odometry_error=error) for episode, error in pairs]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Mapping
 from enum import Enum
-from typing import Self
 
 from evdev import AbsInfo, InputDevice, InputEvent, ecodes, list_devices
 
@@ -73,6 +72,7 @@ class Controls:
         for event in events:
             if event.type == ecodes.EV_SYN and event.code == ecodes.SYN_DROPPED:
                 raise OSError("events were dropped")
+            # Letting go of LB stops, whatever else happens.
             if event.type == ecodes.EV_KEY and event.code == ecodes.BTN_TL:
                 if event.value != 2:  # the kernel repeats keys that are held
                     self._held = bool(event.value)
@@ -105,6 +105,7 @@ class Controls:
 
     def _turn(self) -> float:
         """How far the stick is to the left, -1 to 1."""
+        # Left is the minimum of the axis, and a positive turn.
         offset = 1.0 - 2.0 * self._share(ecodes.ABS_X)
         turn = max(abs(offset) - STICK_DEAD_ZONE, 0.0) / (1.0 - STICK_DEAD_ZONE)
         return turn if offset > 0.0 else -turn
@@ -119,6 +120,10 @@ class Gamepad:
 
     Args:
         path: Its event device. By default the first gamepad that is found.
+
+    Attributes:
+        name: Name of the pad.
+        controls: The twist that it requests.
     """
 
     def __init__(self, path: str = "") -> None:
@@ -145,24 +150,20 @@ class Gamepad:
     def _open(self, path: str) -> None:
         """Open the device. CommandError if it isn't a gamepad."""
         device = InputDevice(path, readonly=True)
+        # A device that was unplugged may come back as another device.
         triggers = find_triggers(device)
         if triggers is None:
             device.close()
             raise CommandError(f"{path}: not a gamepad, or a gamepad without triggers")
 
+        # A button that replaces a trigger has no range of its own.
         axes = {
             code: BUTTON_AXIS if code >= ecodes.BTN_MISC else device.absinfo(code)
             for code in (ecodes.ABS_X, *triggers)
         }
-        self._controls = Controls(axes, *triggers)
+        self.controls = Controls(axes, *triggers)
         self._device = device
         self.name = device.name
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Close the device. Idempotent."""
@@ -173,36 +174,30 @@ class Gamepad:
     def poll(self) -> list[PadEvent]:
         """Read all events that have arrived, and return what happened, in order."""
         if self._device is None:
-            self._wait -= 1
-            return [PadEvent.BACK] if self._wait <= 0 and self._reopen() else []
-
+            return self._reopen()
         happened = []
         try:
             with contextlib.suppress(BlockingIOError):
                 while True:
-                    happened += self._controls.take(self._device.read())
+                    happened += self.controls.take(self._device.read())
         except OSError:  # the cable was pulled
             self.close()
+            self.controls.disarm()
             self._wait = REOPEN_EVERY
             happened.append(PadEvent.LOST)
         return happened
 
-    def _reopen(self) -> bool:
-        """Whether the pad is back. Otherwise the next attempt follows after `REOPEN_EVERY`."""
+    def _reopen(self) -> list[PadEvent]:
+        """Try to open a lost pad, once in `REOPEN_EVERY` calls."""
+        self._wait -= 1
+        if self._wait > 0:
+            return []
         self._wait = REOPEN_EVERY
         for path in [self._path] if self._path else find_gamepads(self.name):
             with contextlib.suppress(OSError, CommandError):  # udev may not have set its rights yet
                 self._open(path)
-                return True
-        return False
-
-    def disarm(self) -> None:
-        """Request zero until LB is pressed again."""
-        self._controls.disarm()
-
-    def twist(self) -> tuple[float, float]:
-        """Return shares of the full linear and angular speed, -1 to 1. Left is positive."""
-        return (0.0, 0.0) if self._device is None else self._controls.twist()
+                return [PadEvent.BACK]
+        return []
 
 
 def find_gamepads(name: str = "") -> list[str]:

@@ -67,6 +67,7 @@ def run_jobs(
     """
     if workers is not None and not 1 <= workers <= MAX_WORKERS:
         raise ConfigError(f"--workers {show_value(workers)}: must be 1 to {MAX_WORKERS:,}")
+    # Results come in any order, so each carries its number.
     numbered = list(enumerate(jobs))
     if not numbered or (address is None and workers in (None, 1)):
         return ((number, function(job)) for number, job in numbered)
@@ -96,6 +97,7 @@ def _run_in_processes(call: Any, jobs: Any, workers: int) -> Results[Any]:
 def _run_on_cluster(call: Any, jobs: Any, workers: int, address: str) -> Results[Any]:
     with connect_cluster(address, workers) as ray:
         remote = ray.remote(num_cpus=1, max_retries=MAX_RETRIES)(call.func)
+        # Only as many jobs as workers are submitted at a time, so that closing ends soon.
         waiting = (remote.remote(*call.args, *job) for job in jobs)
         running = list(islice(waiting, workers))
 

@@ -63,6 +63,7 @@ def write_page(path: Path, title: str, sections: Sequence[Section]) -> None:
         html: str = figure.to_html(full_html=False, include_plotlyjs=False, config=options)
         return html
 
+    # Strict, so that a name that is missing is an error and not an empty cell.
     source = Path(__file__).with_name("page.html").read_text(encoding="utf-8")
     template = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import sys
@@ -50,6 +51,7 @@ def drive_twist(robot: Robot, linear: float, angular: float, duration: float | N
             "--linear and --angular must be finite numbers, --duration finite and not negative"
         )
 
+    # Ticks are counted, as they are exact in simulation.
     ticks = None if duration is None else round(duration * robot.config.control_rate)
     with robot:
         start = robot.link.now()
@@ -101,7 +103,7 @@ def drive_gamepad(robot: Robot, device: str = "") -> None:
     with require_extra("--gamepad", "gamepad"):
         from acsar_gym.tools.gamepad import Gamepad, PadEvent  # noqa: PLC0415
 
-    with Gamepad(device) as pad, robot:
+    with contextlib.closing(Gamepad(device)) as pad, robot:
 
         def read_pad() -> tuple[float, float] | None:
             for event in pad.poll():
@@ -110,13 +112,13 @@ def drive_gamepad(robot: Robot, device: str = "") -> None:
                 if event is PadEvent.STOP:
                     robot.estop()
                 elif event is PadEvent.RELEASE and robot.safety.stopped:
-                    pad.disarm()
+                    pad.controls.disarm()
                     _release_estop(robot)
                 elif event in (PadEvent.LOST, PadEvent.BACK):
                     below = "\n" if sys.stdout.isatty() else ""  # the status line
                     text = escape_unprintable(f"{pad.name}: {event.value}")
                     print_error(f"{below}acsar-gym: {text}")
-            return pad.twist()
+            return pad.controls.twist()
 
         print(f"{escape_unprintable(pad.name)}: {GAMEPAD_HELP}")
         _follow(robot, read_pad, release="Start")
@@ -130,6 +132,7 @@ def _follow(robot: Robot, read: Callable[[], tuple[float, float] | None], releas
         if command is None:
             sys.stdout.write("\n")
             return
+        # Shares of the full speeds, within the limits of the safety layer.
         linear, angular = command
         robot.drive(linear * config.max_linear, angular * config.max_angular)
         if tick % SHOW_EVERY == 0 and sys.stdout.isatty():

@@ -47,6 +47,7 @@ def warm_env(name: str, robot: RobotSource = None, options: Mapping[str, Any] = 
 
 def _use_env(env_id: str, options: Mapping[str, Any]) -> int:
     """Reset and step an env and a batch once. Returns the number of the batch's worlds."""
+    # Single envs and batches compile different functions.
     env = gymnasium.make(env_id, link="planar", **options)
     env.reset(seed=0)
     env.step(np.zeros(2, np.float32))

@@ -1,15 +1,17 @@
-"""Robots drawn at random: the same everywhere, and such as can be built."""
+"""Robots drawn at random: the same everywhere, and such as can be built. Fleets of robots."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
+from typing import Any
 
 import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.config import drawn
+from acsar_gym.config.fleet import make_fleet
 from acsar_gym.config.footprint import border_distance, outline_radius
 from acsar_gym.config.robot import hash_config
 from acsar_gym.errors import ConfigError
@@ -17,7 +19,7 @@ from acsar_gym.errors import ConfigError
 FIRST = [RobotConfig.of(f"drawn:{number}") for number in range(128)]
 
 
-def test_a_number_is_always_the_same_robot() -> None:
+def test_drawn_number_is_always_the_same_robot() -> None:
     """On every machine, so that the hash is always this robot."""
     assert RobotConfig.of("drawn:17") == FIRST[17]
     text = json.dumps([drawn.draw_robot(number) for number in range(20)])
@@ -25,25 +27,24 @@ def test_a_number_is_always_the_same_robot() -> None:
     assert len({hash_config(robot) for robot in FIRST}) == len(FIRST)
 
 
-@pytest.mark.parametrize("text", ["drawn:", "drawn:x", "drawn:-1", "drawn:1-", "drawn:5-3"])
-def test_malformed_names_are_refused(text: str) -> None:
+@pytest.mark.parametrize("text", ["drawn:x", "drawn:1-", "drawn:5-3"])
+def test_drawn_names_that_are_malformed_are_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"^robot = 'drawn:.*: (must be like|holds no robot)"):
         RobotConfig.of(text)
 
 
-@pytest.mark.parametrize("fleet", ["drawn:0-3", "drawn:train"])
-def test_where_one_robot_is_meant_a_fleet_is_refused(fleet: str) -> None:
+def test_drawn_fleet_is_refused_as_one_robot() -> None:
     with pytest.raises(ConfigError, match="give one robot here, such as 'drawn:0'"):
-        RobotConfig.of(fleet)
+        RobotConfig.of("drawn:train")
 
 
-def test_radii_are_exactly_those_of_the_classes() -> None:
+def test_drawn_radii_are_exactly_those_of_the_classes() -> None:
     """Robots of a class share worlds, which are made for a radius."""
     radii = {outline_radius(robot.outline) for robot in FIRST}
     assert radii == set(drawn.RADII)
 
 
-def test_wheels_and_motors_suit_the_body() -> None:
+def test_drawn_wheels_and_motors_suit_the_body() -> None:
     for robot in FIRST:
         rim = robot.motor.max_speed * robot.wheel_radius
         turning = robot.max_angular * robot.effective_separation / 2.0
@@ -55,3 +56,42 @@ def test_wheels_and_motors_suit_the_body() -> None:
         place = robot.lidar_x_offset, robot.lidar_y_offset
         assert math.hypot(*place) < outline_radius(robot.outline)
         assert border_distance(robot.outline, 0.0, 0.0) > 0.05
+
+
+ACSAR = RobotConfig.preset("acsar")
+
+
+@pytest.mark.parametrize(
+    ("source", "names"),
+    [
+        (None, ["number 0"]),
+        (["acsar", ACSAR, {"name": "mine"}], ["acsar", "number 1", "number 2"]),
+        ("drawn:7-9", ["drawn:7", "drawn:8", "drawn:9"]),
+        ("drawn:4-4,husky", ["drawn:4", "husky"]),
+        ("2xjackal,husky,2xdrawn:4-5", ["jackal", "jackal", "husky", *["drawn:4", "drawn:5"] * 2]),
+    ],
+)
+def test_make_fleet_takes_a_robot_a_list_or_a_range(source: Any, names: list[str]) -> None:
+    fleet = make_fleet(source)
+    assert list(fleet.names) == names
+    assert len(fleet.robots) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ([], "a fleet of 0 robots: must have 1 to 10,000"),
+        (["acsar", ["jackal"]], "give one robot here"),
+        (
+            ["jackal", ACSAR.with_(control_rate=50.0)],
+            "robot: jackal has control_rate = 100.0, number 1 50.0: must be the same",
+        ),
+        (
+            [ACSAR, ACSAR.with_(firmware={"loop_rate": 400.0})],
+            "number 0 has firmware.loop_rate = 200.0, number 1 400.0",
+        ),
+    ],
+)
+def test_make_fleet_refuses_what_cannot_be_a_fleet(source: Any, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        make_fleet(source)

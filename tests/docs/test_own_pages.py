@@ -16,11 +16,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from tapes import TtyReplayLink, playing, recorded
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import LinkError
-from acsar_gym.lidar.scan import Revolution
 from acsar_gym.sensors import SensorInput
 from acsar_gym.worlds import registry
 
@@ -59,31 +57,26 @@ def mine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         del sys.modules[name]
 
 
-def actions(robots: int, steps: int) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """The same for every robot: forwards in arcs, with sudden changes."""
-    rng = np.random.default_rng(5)
-    pushes = rng.uniform([-0.3, -1.0], [1.0, 1.0], (steps // 4 + 1, robots, 2))
-    return np.repeat(pushes, 4, axis=0)[:steps].astype(np.float32)
-
-
 def test_own_task_is_equal_in_a_batch_and_in_single_envs(mine: Path) -> None:
     """Limits and a geofence included, through the ends of episodes."""
     importlib.import_module("mine.clearance")
     options: dict[str, Any] = {"robot": ROBOT, "worlds": "clutter:8"}
     robots = 16
-    checked = 4
     batch: Any = gymnasium.make_vec(
         TASK, robots, vectorization_mode="vector_entry_point", autoreset_mode="NextStep", **options
     )
-    singles = [gymnasium.make(TASK, link="planar", **options) for _ in range(checked)]
+    singles = [gymnasium.make(TASK, link="planar", **options) for _ in range(4)]
     observations, _ = batch.reset(seed=7)
     for robot, env in enumerate(singles):
         np.testing.assert_allclose(env.reset(seed=7 + robot)[0], observations[robot], atol=1e-6)
 
-    over = [False] * checked
+    # Forwards in arcs, with sudden changes.
+    rng = np.random.default_rng(5)
+    pushes = rng.uniform([-0.3, -1.0], [1.0, 1.0], (STEPS // 4, robots, 2)).astype(np.float32)
+    over = [False] * len(singles)
     held = 0
     ends = 0
-    for action in actions(robots, STEPS):
+    for action in np.repeat(pushes, 4, axis=0):
         observations, rewards, terminated, truncated, info = batch.step(action)
         held += int((info["sent_reason"] == 2.0).any())
         for robot, env in enumerate(singles):
@@ -98,49 +91,6 @@ def test_own_task_is_equal_in_a_batch_and_in_single_envs(mine: Path) -> None:
     assert ends > 0
     for env in (*singles, batch):
         env.close()
-
-
-class Still:
-    """A LiDAR that sees the same on every link."""
-
-    def __init__(self, link: Any, config: Any) -> None:
-        self.now = link.now
-
-    def reset(self, scene: Any, rng: Any) -> None:
-        pass
-
-    def scan(self) -> Revolution:
-        now = self.now()
-        return Revolution(np.linspace(-3.0, 3.0, 64), np.full(64, 2.0), np.full(64, now), now)
-
-    def close(self) -> None:
-        pass
-
-
-def rollout(link: Any, steps: int) -> list[bytes]:
-    """Observations and rewards with lost lines, as bytes."""
-    faults = {"dropped_lines": 0.1}
-    env = gymnasium.make(TASK, link=link, robot=ROBOT, worlds="open:8", lidar=Still, faults=faults)
-    goal = {"goal": (3.0, 1.0)}
-    results = [env.reset(seed=3, options=goal)[0].tobytes()]
-    for action in actions(1, steps)[:, 0]:
-        observation, reward, terminated, truncated, info = env.step(action)
-        assert info["fault"] == 0.0
-        results.append(observation.tobytes() + np.float64(reward).tobytes())
-        if terminated or truncated:
-            results.append(env.reset(options=goal)[0].tobytes())
-    env.close()
-    return results
-
-
-def test_own_task_is_the_same_to_the_bit_over_a_serial_port(mine: Path, tmp_path: Path) -> None:
-    tape = tmp_path / "tape.mcap"
-    config = RobotConfig.of(ROBOT)
-    with recorded(open_link("planar", config), tape, config) as link:
-        results = rollout(link, STEPS)
-    with playing(tape) as (port, heard):
-        assert rollout(TtyReplayLink(tape, port), STEPS) == results
-        assert heard.get(timeout=5.0) == 0
 
 
 def test_own_sensor_reads_its_device_on_hardware(mine: Path) -> None:

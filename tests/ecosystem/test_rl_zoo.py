@@ -42,7 +42,8 @@ def test_recipes_train_with_rl_zoo_on_the_batch(algo: str, tmp_path: Path) -> No
 def test_zip_policy_contains_the_statistics_of_rl_zoo(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.yml"
     recipe.write_text(NORMALIZED)
-    run_zoo("train", "--algo", "ppo", "--conf-file", recipe, "--log-folder", tmp_path / "logs")
+    options = ("--algo", "ppo", "--conf-file", recipe, "--log-folder", tmp_path / "logs")
+    run_zoo("train", *options)
     (model,) = tmp_path.glob("logs/ppo/*/acsar_gym-PointGoal-v0.zip")
     assert list(model.parent.glob("*/vecnormalize.pkl"))
     policy = ZipPolicy(model, trust=True, env_id="point_goal")

@@ -8,13 +8,12 @@ and deadbands that the check doesn't know. Lines arrive up to 10 ms early or lat
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import itertools
 import math
 import statistics
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import gymnasium
@@ -101,10 +100,9 @@ def make_faulty(kind: str, config: RobotConfig, seed: int, *, driving: bool) -> 
     return CheckedLink(open_link("planar", config), rng, config, fault=fault, after=delay)
 
 
-def check_steady(kind: str, config: RobotConfig) -> list[float]:
-    """Return the times until a fault is found in steady drives [s]."""
+def check_steady(kind: str, config: RobotConfig) -> Iterator[float]:
+    """Yield the times until a fault is found in steady drives [s]."""
     twists = CURVES if kind == "swapped sides" else STRAIGHT + CURVES
-    times = []
     for seed, (linear, angular) in enumerate(twists * ROUNDS):
         link = make_faulty(kind, config, seed, driving=seed >= 2 * len(twists))
         with Robot(link, config) as robot, contextlib.suppress(WheelError):
@@ -112,19 +110,16 @@ def check_steady(kind: str, config: RobotConfig) -> list[float]:
                 robot.drive(0.0, 0.0)
             for _ in range(round(DURATION / config.period)):
                 robot.drive(linear * config.max_linear, angular * config.max_angular)
-        times.append(link.delay)
-    return times
+        yield link.delay
 
 
-def check_policies(kind: str, config: RobotConfig) -> list[float]:
-    """Return the times until a fault is found while policies drive [s]."""
-    times = []
+def check_policies(kind: str, config: RobotConfig) -> Iterator[float]:
+    """Yield the times until a fault is found while policies drive [s]."""
     for name, seed in itertools.product(STEERING, range(POLICY_SEEDS)):
         link = make_faulty(kind, config, seed, driving=seed % 2 == 1)
         end = drive_policy(name, link, config, seed)
         if link.error is not None or end - link.failed_at > PATIENCE:
-            times.append(link.delay)
-    return times
+            yield link.delay
 
 
 def drive_policy(
@@ -147,7 +142,7 @@ def drive_policy(
     return duration
 
 
-def show_times(title: str, measure: Callable[[str, RobotConfig], list[float]]) -> None:
+def show_times(title: str, measure: Callable[[str, RobotConfig], Iterator[float]]) -> None:
     """Measure and print the times for each fault and rate."""
     rates = [f"{rate:g} Hz" for rate in RATES]
     table = Table("fault", *rates, title=f"{title}: median, maximum [s]")
@@ -155,7 +150,7 @@ def show_times(title: str, measure: Callable[[str, RobotConfig], list[float]]) -
         row = []
         for rate in RATES:
             changes = {"firmware": {"feedback_rate": rate}, "feedback_timeout": 2.0}
-            times = measure(kind, RobotConfig.preset("acsar").with_(**changes))
+            times = [*measure(kind, RobotConfig.preset("acsar").with_(**changes))]
             row.append(f"{statistics.median(times):.2f}, {max(times):.2f}")
         table.add_row(kind, *row)
     Console(width=110).print(table)
@@ -189,19 +184,9 @@ def show_errors(body: str) -> None:
     Console(width=110).print(table)
 
 
-def main() -> None:
-    """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--bodies", nargs="*", default=list(BODIES), choices=BODIES)
-    parser.add_argument("--no-times", action="store_true", help="only drive sound robots")
-    options = parser.parse_args()
-    warnings.simplefilter("ignore")
-    if not options.no_times:
-        show_times("steady drives", check_steady)
-        show_times("packaged policies", check_policies)
-    for body in options.bodies:
-        show_errors(body)
-
-
 if __name__ == "__main__":
-    main()
+    warnings.simplefilter("ignore")
+    show_times("steady drives", check_steady)
+    show_times("packaged policies", check_policies)
+    for body in BODIES:
+        show_errors(body)

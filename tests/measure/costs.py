@@ -7,14 +7,14 @@ It measures CPU times in this process, which don't grow with other load of the m
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import tempfile
 import time
-from collections.abc import Callable
+from collections import Counter
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
@@ -29,16 +29,6 @@ ROLLOUTS = 3
 """Rollouts and updates that are measured, after a rollout and an update that aren't."""
 
 
-class TrainingCosts(NamedTuple):
-    """CPU times of a training."""
-
-    steps: int
-    rollout: float
-    """Of an env step, with the decision [s]."""
-    update: float
-    """Of the update, per env step [s]."""
-
-
 def measure_episode(name: str, count: int) -> float:
     """Measure the CPU time of an episode of the packaged policy in PyBullet [s]."""
     policy = runs.load_policy(name, trust=False)
@@ -50,54 +40,42 @@ def measure_episode(name: str, count: int) -> float:
         return (time.process_time() - start) / count
 
 
-def measure_training(name: str) -> TrainingCosts:
-    """Measure rollouts and updates of a training."""
-    spent = {"collect_rollouts": 0.0, "train": 0.0}
+def measure_training(name: str) -> tuple[int, float, float]:
+    """Return a training's steps, and the CPU times of a rollout and an update per env step [s]."""
+    spent: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as folder:
-        options = TrainingOptions(env=name, threads=1, progress=False, out=Path(folder))
-        plan = TrainingPlan.of(options)
-        env = plan.make_training_batch()
-        with contextlib.closing(env):
+        plan = TrainingPlan.of(
+            TrainingOptions(env=name, threads=1, progress=False, out=Path(folder))
+        )
+        with contextlib.closing(plan.make_training_batch()) as env:
             model: Any = make_model(plan, env, Path(folder))
-            for method in spent:
-                setattr(model, method, add_time(getattr(model, method), method, spent))
+            for method in ("collect_rollouts", "train"):
+                setattr(model, method, partial(add_time, spent, method, getattr(model, method)))
 
             rollout = model.n_steps * env.num_envs
             model.learn(rollout)
-            spent.update(dict.fromkeys(spent, 0.0))
+            spent.clear()
             model.learn(ROLLOUTS * rollout, reset_num_timesteps=False)
     steps = ROLLOUTS * rollout
-    return TrainingCosts(
-        plan.recipe.steps, spent["collect_rollouts"] / steps, spent["train"] / steps
-    )
+    return plan.recipe.steps, spent["collect_rollouts"] / steps, spent["train"] / steps
 
 
-def add_time(
-    function: Callable[..., Any], name: str, spent: dict[str, float]
-) -> Callable[..., Any]:
-    """Return the function, which adds the CPU time of its calls to `spent`."""
-
-    def call(*arguments: Any, **options: Any) -> Any:
-        start = time.process_time()
-        try:
-            return function(*arguments, **options)
-        finally:
-            spent[name] += time.process_time() - start
-
-    return call
+def add_time(spent: Any, name: str, function: Any, *arguments: Any, **options: Any) -> Any:
+    """Call a function, and add its CPU time to `spent`."""
+    start = time.process_time()
+    result = function(*arguments, **options)
+    spent[name] += time.process_time() - start
+    return result
 
 
 def main() -> None:
     """Measure, and print the table as Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--episodes", type=int, default=20, help="to measure, of each id")
-    episodes = parser.parse_args().episodes
     print("| id | episode in PyBullet | steps | rollout | update | one training |")
     print("|---|---|---|---|---|---|")
     for name in NAMES:
         steps, rollout, update = measure_training(name)
         print(
-            f"| {name} | {measure_episode(name, episodes) * 1e3:.0f} ms | {steps:,} "
+            f"| {name} | {measure_episode(name, 20) * 1e3:.0f} ms | {steps:,} "
             f"| {rollout * 1e6:.1f} us | {update * 1e6:.1f} us "
             f"| {steps * (rollout + update) / 60.0:.1f} min |"
         )

@@ -19,9 +19,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 from nursery import Program, first_line, nursery, program
 from rich.console import Console
@@ -110,22 +110,16 @@ while True:
 """Drives until a fault, which it may cause itself, and prints the time when it drives."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stops:
+class Stops(NamedTuple):
     """Times from a kind of fault to the zero command [s]. They are inf if there was none."""
 
     kind: str
-    times: tuple[float, ...]
-
-    @property
-    def in_time(self) -> int:
-        """Number of trials within the limit."""
-        return sum(duration <= LIMIT for duration in self.times)
+    times: list[float]
 
     @property
     def is_sound(self) -> bool:
         """Whether all trials were within the limit."""
-        return self.in_time == len(self.times)
+        return max(self.times) <= LIMIT
 
 
 def list_commands(board: EmulatedBoard) -> Iterator[tuple[float, bool]]:
@@ -168,7 +162,7 @@ def measure(
         config: Robot configuration. None for the ACSAR robot.
         board: Command of another program with the emulator's --log, --name, output and signals.
     """
-    with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder, nursery():
+    with tempfile.TemporaryDirectory(prefix="acsar-stopping-") as folder:
         os.environ.setdefault("ACSAR_GYM_RUNTIME_DIR", folder)  # other robots aren't stopped
         device = Path(folder, "robot")
         robot_file = Path(folder, "robot.yaml")
@@ -177,10 +171,10 @@ def measure(
         if board is None:
             options += ["--robot", str(robot_file)]
         emulated = start(Path(folder, "log.jsonl"), *options, board=board)
-        with contextlib.closing(emulated):
+        with contextlib.closing(emulated), nursery():
             for kind in kinds:
                 times = [_time_stop(kind, emulated, device, robot_file) for _ in range(trials)]
-                yield Stops(kind, tuple(times))
+                yield Stops(kind, times)
 
 
 def _time_stop(kind: str, board: Emulated, device: Path, robot_file: Path) -> float:
@@ -247,12 +241,13 @@ def _cause_fault(kind: str, process: Program, board: Emulated, terminal: int) ->
 
 def _wait_for_stop(board: EmulatedBoard, fault: float) -> float:
     """Return the time at which the board was commanded to stop for good [s]. inf if never."""
-    while time.monotonic() < fault + ZERO_TIMEOUT + QUIET_TIME:
+    zero = math.inf
+    now = fault
+    while now < fault + ZERO_TIMEOUT + QUIET_TIME and not fault <= zero <= now - QUIET_TIME:
         time.sleep(0.02)
+        now = time.monotonic()
         zero = find_stop(list_commands(board), fault)
-        if fault <= zero <= time.monotonic() - QUIET_TIME:
-            break
-    return find_stop(list_commands(board), fault)
+    return zero
 
 
 def add_row(table: Table, name: str, times: Sequence[float], limit: float) -> None:
@@ -279,12 +274,12 @@ def main() -> int:
     options = parser.parse_args()
 
     table = make_table()
-    is_sound = True
+    measured = []
     for stops in measure(options.trials, options.kinds, board=options.board):
-        is_sound = is_sound and stops.is_sound
         add_row(table, KINDS[stops.kind], stops.times, LIMIT)
+        measured.append(stops)
     Console().print(table)
-    return int(not is_sound)
+    return int(not all(stops.is_sound for stops in measured))
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mover_tools import HALL
 from PIL import Image as Pillow
 from top_view_tools import COURT, FRAME
 
@@ -30,8 +29,7 @@ from acsar_gym.render.top_view import (
     place_points,
     save_picture,
 )
-from acsar_gym.tools.tile import trace_way
-from acsar_gym.worlds.movers import Mover, walk
+from acsar_gym.worlds.movers import walk
 
 Point = tuple[float, float]
 
@@ -123,15 +121,6 @@ def test_the_view_shows_where_movers_go_and_where_the_robot_is(top: TopView) -> 
     assert not top.view.shows(9.0, 6.0, 0.0)
     top.draw(replace(FRAME, odom=(9.0, 6.0, 0.0)))
     assert top.view.shows(9.0, 6.0, 0.0)
-
-
-@pytest.mark.parametrize("mover", HALL.movers)
-def test_a_trace_is_where_a_motion_leads(mover: Mover) -> None:
-    way = trace_way(mover)
-    for time in np.linspace(0.0, mover.duration, 40):
-        place = mover.position(float(time))
-        assert np.hypot(*(way - place).T).min() < mover.top_speed * mover.duration / 8.0 + 1e-9
-    assert way[0].tolist() == list(mover.position(0.0))
 
 
 @pytest.mark.parametrize("size", [(480,), (63, 480), (480.5, 480)])

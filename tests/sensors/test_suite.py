@@ -52,43 +52,22 @@ def test_sensors_that_cannot_be_made_are_named(sensors: tuple[Any, ...], message
     assert "\n" not in str(caught.value)
 
 
-class Device(ThreeRays):
-    """Fails in one of its methods."""
-
-    fails_in = ""
-
-    def _do(self, method: str) -> None:
-        if method == self.fails_in:
-            raise RuntimeError(method)
-
-    def reset(self, robots: Any) -> None:
-        self._do("reset")
-
-    def poll(self, truth: Any, now: float) -> None:
-        self._do("poll")
-
-    def read(self, robots: Any, out: Any) -> None:
-        self._do("read")
-        out[:] = 0.0
-
-    def info(self, robots: Any) -> dict[str, Any]:
-        self._do("info")
-        return {}
-
-
 @pytest.mark.parametrize("method", ["reset", "poll", "read", "info"])
-def test_sensor_error_stops_the_robot(method: str) -> None:
-    driven = robot(Device)
-    device: Any = driven.sensors[0]
+def test_sensor_error_stops_the_robot(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError(method)
+
+    kind = special(poll=lambda *_: None)
+    driven = robot(kind)
     if method != "reset":
         driven.activate()
-    device.fails_in = method
+    monkeypatch.setattr(kind, method, fail)
     use: dict[str, Callable[[], object]] = {
         "reset": driven.activate,
         "poll": lambda: driven.drive(0.1, 0.0),
         "read": driven.read,
         "info": lambda: driven.add_sensor_info({}),
     }
-    with pytest.raises(AcsarError, match=rf"'.*': {method}\(\) raised RuntimeError: {method}"):
+    with pytest.raises(AcsarError, match=rf"'three_rays': fail\(\) raised RuntimeError: {method}"):
         use[method]()
     assert not driven.active

@@ -38,7 +38,7 @@ def show_worlds(
     check_picture_name(out)
     check_writable(out)
     _, worlds = atlas.collect_worlds(source, difficulty, robot, 12, atlas.MAX_DRAWN)
-    atlas.draw_worlds(worlds, out)
+    atlas.draw_worlds(worlds, out, robot)
     say(f"drawn: {out}")
     return 0
 

@@ -21,14 +21,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 UNTESTED = re.compile(r"/(ros2|ros_watchdog_child|ros/node|ros/policy|__init__|__main__)\.py$")
 """Files whose tests need another installation (`make test-ros`), and files without logic."""
 ENVIRONMENTS = ["tests/envs", "tests/vector/test_task.py", "tests/test_robot.py"]
@@ -57,6 +56,8 @@ NAMES = {
 }
 SYMMETRIC = {"hypot", "isclose", "max", "maximum", "min", "minimum", "dot"}
 """Functions whose arguments may be swapped."""
+LIMIT = 900.0
+"""Longest duration of a run of tests [s]."""
 FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+::.+?)(?: - .*)?$", re.MULTILINE)
 COMPILED = re.compile(r"^\s*@(jit|loop|subroutine|compilable|overloads)\b|= (jit|loop)\(", re.M)
 
@@ -213,29 +214,22 @@ def find_compiled(root: Path) -> set[str]:
 class Copy:
     """A copy of the checkout in which faults are planted, one at a time."""
 
-    def __init__(self, folder: Path, limit: float) -> None:
+    def __init__(self, folder: Path) -> None:
         self._root = folder / "tree"
         self._folder = folder
-        self._limit = limit
         (folder / "shared").mkdir(parents=True)
         skipped = shutil.ignore_patterns(".*", "build", "dist", "runs", "__pycache__")
         shutil.copytree(ROOT, self._root, ignore=skipped)
         self._compiled = find_compiled(self._root)
 
-    def detect(self, fault: Fault, *, whole: bool) -> str:
+    def detect(self, fault: Fault) -> str:
         """Return the test that detects a fault, or "" if none does."""
-        selections = [find_tests(fault.file)] + [["tests"]] * whole
-        unreliable: list[str] = []
-        while selections:
-            options = ["-x", *(f"--deselect={test}" for test in unreliable)]
-            failed = self._run(fault, [*options, *selections[0]])
-            is_test = "::" in failed
-            if not failed:
-                selections.pop(0)
-            elif is_test and (not self._run(fault, [failed]) or self._run(None, [failed])):
-                unreliable.append(failed)
-            else:
+        options = ["-x"]
+        while failed := self._run(fault, [*options, *find_tests(fault.file)]):
+            # A test must fail again with the fault, and pass without.
+            if "::" not in failed or (self._run(fault, [failed]) and not self._run(None, [failed])):
                 return failed
+            options.append(f"--deselect={failed}")
         return ""
 
     def _run(self, fault: Fault | None, arguments: list[str]) -> str:
@@ -278,11 +272,11 @@ class Copy:
                 cwd=self._root,
                 env=environment,
                 capture_output=True,
-                timeout=self._limit,
+                timeout=LIMIT,
                 check=False,
             )
         except subprocess.TimeoutExpired:
-            return f"no end after {self._limit:g} s"
+            return f"no end after {LIMIT:g} s"
         if done.returncode in (0, 5):
             return ""
         failed = FAILED.search(done.stdout.decode())
@@ -295,10 +289,6 @@ def main() -> None:
     parser.add_argument("--faults", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--limit", type=float, default=900.0, help="seconds for a run of tests")
-    parser.add_argument(
-        "--whole", action="store_true", help="then run all tests, which takes hours"
-    )
     options = parser.parse_args()
 
     faults = [
@@ -309,29 +299,23 @@ def main() -> None:
     ]
     chosen = choose(faults, options.faults, options.seed)
     descriptions = [fault.describe() for fault in chosen]  # of the sources as they are now
-    undetected: list[Fault] = []
     copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
 
-    def detect(fault: Fault) -> None:
+    def detect(fault: Fault) -> str:
         copy = copies.get()
-        start = time.monotonic()
-        test = copy.detect(fault, whole=options.whole)
+        test = copy.detect(fault)
         copies.put(copy)
-        if not test:
-            undetected.append(fault)
-        seconds = time.monotonic() - start
         place = f"{fault.file}:{fault.place[0]}"
-        print(f"{seconds:5.0f} s  {place} {fault.kind}: {test or 'NOT DETECTED'}", flush=True)
+        print(f"{place} {fault.kind}: {test or 'NOT DETECTED'}", flush=True)
+        return test
 
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.jobs) as pool:
         for job in range(options.jobs):
-            copies.put(Copy(Path(folder, str(job)), options.limit))
-        list(pool.map(detect, chosen))
-    detected = options.faults - len(undetected)
-    print(f"\ndetected {detected} of {options.faults} faults, not these:\n")
-    for fault, description in zip(chosen, descriptions, strict=True):
-        if fault in undetected:
-            print(description, end="\n\n")
+            copies.put(Copy(Path(folder, str(job))))
+        tests = list(pool.map(detect, chosen))
+    undetected = [text for text, test in zip(descriptions, tests, strict=True) if not test]
+    print(f"\ndetected {len(tests) - len(undetected)} of {len(tests)} faults, not these:\n")
+    print(*undetected, sep="\n\n")
 
 
 if __name__ == "__main__":
