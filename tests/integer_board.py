@@ -6,26 +6,22 @@ reset before the first line. So the lag is -10 ms / ln(1 - 1/12) = 114.9 ms, and
 nearer to its target than 0.11 rad/s.
 
 `IntegerLink` runs it in simulated time, with 1 ms of resolution and the time that bytes take on the
-wire. As a program it serves a pseudo-terminal:
-
-python tests/integer_board.py --divisor 24 --deadband 90 --quantum 12
+wire.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
-import time
 from collections import deque
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 from acsar_gym.links.base import Link
 from acsar_gym.worlds import Scene
 
 BYTES_PER_MILLISECOND = 11.52
 """Of a wire at 115200 baud."""
+BOOT = 1500
+"""Silence after a reset [ms]."""
 LOOP = 10
 """Period of the board's loop [ms]."""
 REPEAT_PERIOD = 3000
@@ -44,12 +40,6 @@ class BoardProgram:
     """Largest change of the set point in a loop. 0 for no ramp."""
     gain: tuple[int, ...] = (100, 100, 100, 100)
     """Of each wheel, in percent."""
-    backward: int = 100
-    """Further percent backward."""
-    top: int = 9999
-    """Largest speed."""
-    hold: int = 0
-    """A wheel stands for this time where its command changes sign."""
     deadband: int = 0
     """Smaller targets don't turn a wheel."""
     quantum: int = 1
@@ -58,18 +48,12 @@ class BoardProgram:
     """Printed speeds are off by up to this."""
     delay: int = 0
     """From a command's arrival until it counts."""
-    stale: int = 0
-    """From a measurement until it is printed."""
     repeat: int = 0
     """Every 3 s it goes on printing what it measured last for this long."""
-    fresh: int = 0
-    """Whether a line shows the loop of its own millisecond (1) or the loop before (0)."""
     feedback: int = 20
     """From one line to the next."""
     timeout: int = 500
     """From the newest command to the time-out. 0 for none."""
-    boot: int = 1500
-    """Silence after a reset."""
 
     @property
     def lag(self) -> float:
@@ -100,23 +84,20 @@ class IntegerBoard:
         self._targets = [0] * 4
         self._set_points = [0] * 4
         self._speeds = [0] * 4
-        self._signs = [0] * 4
-        self._held = [10**6] * 4
         self._random = 1
-        self._measured: deque[tuple[int, ...]] = deque(maxlen=1 + program.stale // LOOP)
+        self._measured: tuple[int, ...] = ()
 
     def run_millisecond(self, data: bytes) -> bytes:
         """Let a millisecond pass, in which these bytes arrive. Returns what the board prints."""
         self.time += 1
-        if self.time < self.program.boot:
+        if self.time < BOOT:
             return b""
         for byte in data:
             self._take_byte(byte)
-        due = self.time % self.program.feedback == 0
-        line = self._print_line() if due and not self.program.fresh else b""
+        line = b"" if self.time % self.program.feedback else self._print_line()
         if self.time % LOOP == 0:
             self._run_loop()
-        return self._print_line() if due and self.program.fresh else line
+        return line
 
     def _take_byte(self, byte: int) -> None:
         """Take a number at its comma, or at the end of a line."""
@@ -140,29 +121,23 @@ class IntegerBoard:
             self._targets = [0] * 4
 
         for wheel, target in enumerate(self._targets):
-            self._held[wheel] += LOOP
-            if target * self._signs[wheel] < 0:
-                self._held[wheel] = 0
-            self._signs[wheel] = (target > 0) - (target < 0) or self._signs[wheel]
-            aim = 0 if self._held[wheel] < program.hold else target
+            aim = target
             if program.ramp:
                 missing = aim - self._set_points[wheel]
                 aim = self._set_points[wheel] + max(-program.ramp, min(program.ramp, missing))
                 self._set_points[wheel] = aim
             aim = divide(aim * program.gain[wheel], 100)
-            aim = divide(aim * program.backward, 100) if aim < 0 else aim
-            aim = 0 if abs(aim) < program.deadband else max(-program.top, min(program.top, aim))
+            aim = 0 if abs(aim) < program.deadband else aim
             speed = self._speeds[wheel]
             self._speeds[wheel] = speed + divide(aim * program.fraction - speed, program.divisor)
 
         if self.time % REPEAT_PERIOD >= program.repeat or not self._measured:
-            self._newest = tuple(divide(speed, program.fraction) for speed in self._speeds)
-        self._measured.append(self._newest)
+            self._measured = tuple(divide(speed, program.fraction) for speed in self._speeds)
 
     def _print_line(self) -> bytes:
         """Print what was measured, as integers and their hundredths."""
         parts = []
-        for letter, speed in zip("abcd", self._measured[0] if self._measured else (), strict=False):
+        for letter, speed in zip("abcd", self._measured, strict=False):
             self._random = (self._random * 25173 + 13849) & 0xFFFF
             noise = self.program.noise
             quantum = self.program.quantum
@@ -179,15 +154,13 @@ class IntegerLink(Link):
     Args:
         program: Constants of the board.
         phase: Time by which the host's clock is ahead of the board's [ms].
-        wire: Whether bytes take their time.
     """
 
     arrivals: list[tuple[float, bytes]] = []  # noqa: RUF012 - set by each reset
 
-    def __init__(self, program: BoardProgram, phase: float = 0.0, wire: bool = True) -> None:
+    def __init__(self, program: BoardProgram, phase: float = 0.0) -> None:
         self._program = program
         self._phase = phase
-        self.wire = wire
         self.reset(Scene())
 
     def open(self) -> None:
@@ -204,7 +177,7 @@ class IntegerLink(Link):
         self._outbound: deque[tuple[float, int]] = deque()
         self._free = [0.0, 0.0]  # when each direction of the wire is free [ms]
         self.arrivals = []
-        self.advance(1e-3 * self._program.boot)
+        self.advance(1e-3 * BOOT)
 
     def now(self) -> float:
         """Return the host's time [s]."""
@@ -237,44 +210,5 @@ class IntegerLink(Link):
     def _send(self, way: int, queue: deque[tuple[float, int]], data: bytes, begin: float) -> None:
         """Put bytes on the wire, each of which takes its time."""
         for byte in data:
-            self._free[way] = max(self._free[way], begin) + self.wire / BYTES_PER_MILLISECOND
+            self._free[way] = max(self._free[way], begin) + 1.0 / BYTES_PER_MILLISECOND
             queue.append((self._free[way], byte))
-
-
-def make_parser() -> argparse.ArgumentParser:
-    """The program's options: the board's constants, and a name for its device."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for field in fields(BoardProgram):
-        many = field.name == "gain"
-        parser.add_argument(
-            f"--{field.name}",
-            type=int,
-            nargs=4 if many else None,
-            default=field.default,
-            help="of each wheel" if many else None,
-        )
-    parser.add_argument("--name", type=Path, help="symbolic link to its device")
-    return parser
-
-
-def main() -> None:
-    """Serve a pseudo-terminal until the process is ended. Its name is printed."""
-    from acsar_gym.tools.emulation.cable import EmulatedCable
-
-    arguments = vars(make_parser().parse_args())
-    cable = EmulatedCable(115200, arguments.pop("name"))
-    board = IntegerBoard(replace(BoardProgram(), **arguments | {"gain": tuple(arguments["gain"])}))
-    print("device:", cable.device, flush=True)
-    start = time.monotonic()
-    try:
-        while True:
-            time.sleep(max(0.0, start + 1e-3 * (board.time + 1) - time.monotonic()))
-            cable.write(board.run_millisecond(cable.read()))
-    except KeyboardInterrupt:
-        sys.exit(0)
-    finally:
-        cable.pull()
-
-
-if __name__ == "__main__":
-    main()

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from boards import apply_to_config, make_link, parse_quirks
 
 from acsar_gym import RobotConfig
 from acsar_gym.links import open_link
 from acsar_gym.recording.types import WireLog
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.excitation import TapedLink
-from acsar_gym.tools.sysid.identify import Identification, ParameterFinding
+from acsar_gym.tools.sysid.identify import Identification, ParameterFinding, identify_device
 
 ACSAR = RobotConfig.preset("acsar")
 TOLERANCES = {
@@ -74,59 +74,53 @@ def draw_misfit(seed: int) -> tuple[RobotConfig, tuple[str, ...]]:
     return hidden, (f"{'feedback-factor' if name == 'rpm' else name}={size}",)
 
 
-@dataclass(frozen=True)
-class Score:
-    """How a parameter of a robot was found."""
+class Score(NamedTuple):
+    """How well a finding of a wheel or of the board agrees with the truth."""
 
     name: str
+    is_told: bool
     error: float
-    """The largest of the wheels', as a share of the tolerance."""
+    """Share of the tolerance."""
     holds: bool
-    """Whether all intervals hold the truth."""
+    """Whether the interval holds the truth."""
+    text: str
 
 
-def true_values(finding: ParameterFinding, truth: RobotConfig) -> list[float | None]:
-    """The true values that a finding is about: of a wheel, of all four, or of the board."""
-    section, field = finding.name.split(".")
-    if section != "motor":
-        return [getattr(getattr(truth, section), field)]
-    wheels = ["abcd".index(finding.wheel)] if finding.wheel else range(4)
-    return [getattr(truth.motor.of_wheel(wheel), field) for wheel in wheels]
+def score_findings(result: Identification, truth: RobotConfig) -> list[Score]:
+    """Compare findings with a hidden robot: each wheel and the board."""
+    scores = []
+    for finding in result.findings:
+        section, field = finding.name.split(".")
+        parts = [getattr(truth, section)]
+        if section == "motor":
+            wheels = ["abcd".index(finding.wheel)] if finding.wheel else range(4)
+            parts = [truth.motor.of_wheel(wheel) for wheel in wheels]
+        scores += [_score_finding(finding, getattr(fields, field)) for fields in parts]
+    return scores
 
 
-def score_findings(result: Identification, truth: RobotConfig) -> Iterator[Score]:
-    """Compare findings with a hidden robot."""
-    for name in TOLERANCES:
-        parts = [
-            score_finding(finding, value)
-            for finding in result.findings
-            if finding.name == name
-            for value in true_values(finding, truth)
-        ]
-        errors, holds = zip(*parts, strict=True)
-        yield Score(name, max(errors), all(holds))
+def _score_finding(finding: ParameterFinding, value: float | None) -> Score:
+    holds = value is finding.value and finding.told
+    error = 0.0 if holds else math.inf
+    if value is not None and finding.value is not None:
+        scale = TOLERANCES.get(finding.name, 1.0) * (value if finding.name in RELATIVE else 1.0)
+        error = abs(finding.value - value) / scale
+        low = math.inf if finding.low is None else finding.low
+        holds = low <= value <= (finding.high or 0.0)
+    text = f"{finding.name}.{finding.wheel} {finding.low} to {finding.high}, truth {value}"
+    return Score(finding.name, finding.told, error, holds, text)
 
 
 def find_missed_truths(result: Identification, truth: RobotConfig) -> list[str]:
     """List the findings whose intervals don't hold the truth."""
-    return [
-        f"{finding.name}.{finding.wheel} {finding.low} to {finding.high}, truth {value}"
-        for finding in result.findings
-        for value in true_values(finding, truth)
-        if finding.told and not score_finding(finding, value)[1]
-    ]
+    return [s.text for s in score_findings(result, truth) if s.is_told and not s.holds]
 
 
-def score_finding(finding: ParameterFinding, value: float | None) -> tuple[float, bool]:
-    """Error as a share of the tolerance, and whether the interval holds the truth."""
-    if value is None or finding.value is None:
-        is_right = value is finding.value and finding.told
-        return (0.0 if is_right else math.inf), is_right
-    scale = TOLERANCES.get(finding.name, 1.0) * (value if finding.name in RELATIVE else 1.0)
-    error = abs(finding.value - value) / scale
-    if finding.low is None or finding.high is None:
-        return error, False
-    return error, finding.low <= value <= finding.high
+def identify_simulated(hidden: RobotConfig, *quirks: str) -> Identification:
+    """Identify a robot with these quirks in simulated time."""
+    odd = parse_quirks(quirks)
+    link = make_link("planar", apply_to_config(odd, hidden), odd)
+    return identify_device(link, ACSAR, 20.0)
 
 
 def drive_wire(

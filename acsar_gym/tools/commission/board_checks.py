@@ -170,6 +170,7 @@ class BoardExamination:
 
 def check_echo(board: BoardExamination) -> Check | None:
     """Find a board that sends commands back, also later than a link waits for when it opens."""
+    # The probe is no command of the protocol, so that no board answers it by itself.
     board.probe.drive(ECHO_PROBE, ECHO_TIME)
     if ECHO_PROBE not in board.probe.tail:
         return None
@@ -222,15 +223,13 @@ def check_resets(board: BoardExamination) -> Check | None:
 def check_line_end(board: BoardExamination) -> Check | None:
     """Find whether the last value of a line is taken with, or without, a trailing comma.
 
-    The first wheel that turns decides, so that a dead wheel doesn't matter.
+    The value is that of wheel d. Nothing is found if it doesn't turn.
     """
     board.probe.stop_wheels(board.speed)
-    for letter in MOTORS:
-        with_comma = takes_last_value(board, letter, comma=True)
-        without_comma = takes_last_value(board, letter, comma=False)
-        board.probe.trailing_comma = with_comma or not without_comma
-        if with_comma or without_comma:
-            break
+    # Boards that parse up to a comma lose the last value without it. Others refuse an empty value.
+    with_comma = takes_last_value(board, comma=True)
+    without_comma = takes_last_value(board, comma=False)
+    board.probe.trailing_comma = with_comma or not without_comma
     if with_comma == without_comma:
         finding = "a value is taken at the line's end, and at its comma"
         return Check("line end", "ok", finding) if with_comma else None
@@ -245,17 +244,14 @@ def check_line_end(board: BoardExamination) -> Check | None:
     return warn_if(differs, "line end", finding, f"use trailing_comma: {str(with_comma).lower()}")
 
 
-def takes_last_value(board: BoardExamination, letter: str, *, comma: bool) -> bool:
-    """Return whether a wheel turns whose letter is the last of a line.
+def takes_last_value(board: BoardExamination, *, comma: bool) -> bool:
+    """Return whether wheel d turns, whose value ends each line.
 
     The board gets only one line: some boards take a value at the first comma of the next line.
     """
-    # The letter goes to the end of the line.
-    parts = encode_line(*board.command(letter), b"").split(b",")
-    value = parts.pop(MOTORS.index(letter))
     board.probe.trailing_comma = comma
-    line = b",".join([*parts, value])
-    lines = board.probe.drive(line, SINGLE_COMMAND_TIME, interval=math.inf)
+    command = board.command("d")
+    lines = board.probe.drive(command, SINGLE_COMMAND_TIME, interval=math.inf)
 
     # Either form of zero alone may miss the value of one wheel.
     board.probe.trailing_comma = True
@@ -265,6 +261,7 @@ def takes_last_value(board: BoardExamination, letter: str, *, comma: bool) -> bo
 
 def spin_wheels(board: BoardExamination) -> Check | None:
     """Turn one wheel after the other, and report what the board says to that in text."""
+    # A person watches which wheel turns, so that they turn one at a time.
     for letter in MOTORS:
         lines = board.probe.drive(board.command(letter), SPIN_TIME)
         board.probe.stop_wheels(board.speed)
@@ -308,6 +305,7 @@ def check_command_letters(board: BoardExamination) -> Check | None:
 
 def check_set_points(board: BoardExamination) -> Check | None:
     """Find a board whose feedback is the command itself, at once and to the last digit."""
+    # Odd numbers with two decimals, as no encoder's steps are.
     a, b, c, d = (round(share * board.speed, 2) for share in ODD_SHARES)
     command = (a, b, c, d)
     speeds = board.drive(command, SET_POINT_TIME)
@@ -385,6 +383,7 @@ def check_wiring(board: BoardExamination) -> Check | None:
     """Compare the wiring with the robot's file. Only users can see motors and encoders apart."""
     if board.wiring is None:
         return None
+    # The file's wiring is the reference, and ours if there is no file.
     is_usual = board.config.wheels == WheelsConfig()
     unseen = "as the encoders answer" if board.seen is None else "as seen"
     finding = describe_sides(board.wiring) or unseen
@@ -433,12 +432,13 @@ def check_timeout(board: BoardExamination) -> Check:
         return Check(TIMEOUT_CHECK, "fail", "another time at each trial", fix)
 
     # Fields that are as configured stay as they are in the file.
-    firmware = times.firmware
+    firmware: dict[str, float | None] = {}
+    if not math.isclose(board.config.feedback_rate, times.feedback_rate, rel_tol=SAME_RATE):
+        firmware["feedback_rate"] = times.feedback_rate
     configured = board.config.firmware.command_timeout or math.inf
-    if math.isclose(board.config.feedback_rate, times.feedback_rate, rel_tol=SAME_RATE):
-        del firmware["feedback_rate"]
-    if math.isclose(configured, times.command_timeout, abs_tol=SAME_TIMEOUT):
-        del firmware["command_timeout"]
+    if not math.isclose(configured, times.command_timeout, abs_tol=SAME_TIMEOUT):
+        never = math.isinf(times.command_timeout)
+        firmware["command_timeout"] = None if never else round(times.command_timeout, 2)
     if firmware:
         board.changes["firmware"] = firmware
 

@@ -43,6 +43,7 @@ def warn_if(bad: bool, name: str, found: str, fix: str) -> Check:
 
 def check_ports(device: str | None = None) -> Check:
     """List the serial ports of this computer. Warn if there is neither a port nor a device."""
+    # A pseudo-terminal isn't listed, though it can be examined.
     ports = [f"{port.device} ({port.description})" for port in find_ports()]
     if device is not None:
         ports = ports or [f"none but {device}"]
@@ -62,6 +63,7 @@ def check_estop() -> Check:
 
 def draw_checks(checks: Sequence[Check]) -> Table:
     """Format results as a table."""
+    # Long advice is folded, so that the table fits into any terminal.
     columns = [Column(name, overflow="fold") for name in ("check", "", "found", "what to do")]
     table = Table(*columns, title="acsar-gym doctor", title_justify="left")
     for check in checks:

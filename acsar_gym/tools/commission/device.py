@@ -66,16 +66,15 @@ def at_baud_rate(config: RobotConfig, baud: int) -> RobotConfig:
     Raises:
         ConfigError: Boards don't use that rate, or it is too slow for the board's feedback.
     """
-    try:
-        return config.with_(baud_rate=baud)
-    except ConfigError as error:
-        for rate in CONTROL_RATES if baud in BAUD_RATES else ():
-            if rate < config.control_rate:
-                try:
-                    return config.with_(baud_rate=baud, control_rate=rate)
-                except ConfigError:
-                    continue
-        raise error from error
+    # A policy's rate stays if the wire is fast enough.
+    slower = [rate for rate in CONTROL_RATES if rate < config.control_rate and baud in BAUD_RATES]
+    errors = []
+    for rate in (config.control_rate, *slower):
+        try:
+            return config.with_(baud_rate=baud, control_rate=rate)
+        except ConfigError as error:
+            errors.append(error)
+    raise errors[0]
 
 
 def examine_device(
@@ -100,6 +99,7 @@ def examine_device(
     if recorder is not None:
         link = recorder.watch(link, config)
 
+    # What fails names the row: opening, waiting for a line, or the connection later.
     failing = "first valid line"
     start = time.monotonic()
     try:
@@ -133,6 +133,7 @@ def examine_device(
 
 def search_baud_rate(device: str, config: RobotConfig) -> Check:
     """Try the other baud rates, fastest first. Nothing is commanded but zero."""
+    # There are many rates, and a wrong rate is silent until the timeout.
     timeout = min(BAUD_TIMEOUT, config.connect_timeout)
     for baud in sorted(set(BAUD_RATES) - {config.baud_rate}, reverse=True):
         try:

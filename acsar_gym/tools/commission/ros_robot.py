@@ -41,6 +41,7 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
     Raises:
         EmergencyStopError: The emergency stop was used.
     """
+    # The robot is driven as a policy would, with zeros.
     link = Ros2Link(url, config)
     robot = Robot(link, config, recorder=recorder)
     stamps: list[float] = []

@@ -76,6 +76,7 @@ def parse_seen(answers: Sequence[str]) -> dict[str, SeenWheel]:
     Raises:
         ConfigError: These can't have been seen.
     """
+    # tyro takes any number of words, and those of the device as well.
     if len(answers) != len(MOTORS):
         raise ConfigError(
             f"--saw {' '.join(answers)}: must be four, the wheels that turned for a, b, c and d, "
@@ -121,6 +122,7 @@ def infer_wiring(
     Returns:
         The wiring. None unless each letter turns a wheel, and another encoder answers to each.
     """
+    # A wiring needs four different encoders, else two wheels share one.
     encoders = {answer.encoders[0] for answer in answers.values() if answer.encoders}
     if len(turned) < len(MOTORS) or len(encoders) < len(MOTORS):
         return None
@@ -133,6 +135,7 @@ def infer_wiring(
 
 def describe_sides(wiring: WheelsConfig) -> str:
     """Report motors or encoders whose left and right are swapped. Empty if there are none."""
+    # The usual mistake: both plugs of an axle on the wrong side.
     swapped = [
         f"{device}s"
         for device in ("motor", "encoder")

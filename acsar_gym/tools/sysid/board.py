@@ -94,15 +94,6 @@ class BoardTimes(NamedTuple):
         """Median of `delays` [s]. NaN if there are none."""
         return median(self.delays) if self.delays else math.nan
 
-    @property
-    def firmware(self) -> dict[str, float | None]:
-        """What was measured, as fields of the section `firmware` of a robot's file."""
-        fields: dict[str, float | None] = {"feedback_rate": self.feedback_rate}
-        if not math.isnan(self.command_timeout):
-            never = math.isinf(self.command_timeout)
-            fields["command_timeout"] = None if never else round(self.command_timeout, 2)
-        return fields
-
 
 class Lines(NamedTuple):
     """The n lines that a board sent while something was commanded."""
@@ -177,6 +168,7 @@ class BoardProbe:
             BoardSilentError: No valid line has arrived for `SILENCE_TIMEOUT`.
             LinkError: The link is lost, or there was an emergency stop.
         """
+        # The first command is due at once.
         start = due = self._link.now()
         sent = self._sent
         stamps: list[float] = []
@@ -204,12 +196,14 @@ class BoardProbe:
     def _send(self, command: Speeds | bytes) -> None:
         line = command if isinstance(command, bytes) else encode_line(*command, b"")
         line += line_end(trailing_comma=self.trailing_comma)
+        # Times are measured from the moment when a command's last byte is on the wire.
         self._sent = self._link.now() + len(line) * self._byte_time
         self._link.write(line.upper() if self.upper_case else line)
 
     def _poll(self) -> list[Speeds]:
         """Let `PROBE_POLL` pass, and return the lines that have arrived."""
         data = self._link.advance(PROBE_POLL)
+        # Messages show what arrived, also if it was no line.
         self.tail = (self.tail + data)[-TAIL_BYTES:]
         now = self._link.now()
 
@@ -218,6 +212,7 @@ class BoardProbe:
         self._polled = now
 
         lines = []
+        # A wheel that a line doesn't name keeps its speed.
         for reading in self.decoder.feed(data):
             self._speeds = reading.over(self._speeds)
             lines.append(self._speeds)
@@ -237,6 +232,7 @@ class BoardProbe:
         Raises:
             BoardSilentError: No line arrived.
         """
+        # A rate from before would end the drive early.
         self.rate = 0.0
         lines = self.drive(ZERO, LISTEN_TIME, interval=period)
         self.rate = round_rate(measure_rate(lines.stamps.tolist(), range(len(lines.stamps))))
@@ -253,6 +249,7 @@ class BoardProbe:
         Raises:
             LinkError: A wheel keeps turning.
         """
+        # Slow wheels roll on after the board has taken the command.
         for _ in range(round(STOP_TIMEOUT / STOP_TIME)):
             newest = self.drive(ZERO, STOP_TIME).newest
             if np.abs(newest).max(initial=0.0) < STANDING_SHARE * speed:
@@ -315,6 +312,7 @@ def measure_board(probe: BoardProbe, speed: float = SPIN_SPEED) -> BoardTimes:
         >>> times.feedback_rate, round(times.command_timeout, 1)
         (100.0, 0.5)
     """
+    # The rate is the clock of all other measurements.
     if not probe.rate:
         probe.measure_rate()
 
@@ -385,6 +383,7 @@ def _time_fall(probe: BoardProbe, command: Speeds, stop: Speeds | None) -> float
         Time from the newest command until the speed has fallen to `FALL_LEVEL` [s]. Infinite
         if it doesn't.
     """
+    # Levels are relative, so a wrong scale of the feedback doesn't matter.
     steady = probe.drive(command, SPIN_TIME)
     level = FALL_LEVEL * float(_mean(steady.newest).mean())
     longest = LONGEST_TIMEOUT if stop is None else FALL_TIME
@@ -408,6 +407,7 @@ def likely_units(ratio: float, config: RobotConfig) -> str:
         ratio: Measured by commanded speed.
         config: Robot configuration.
     """
+    # The wire carries rad/s, and most foreign programs print another unit.
     units = {
         "feedback in rpm": 30.0 / math.pi,
         "feedback in rev/s": 0.5 / math.pi,

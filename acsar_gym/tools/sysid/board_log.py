@@ -13,7 +13,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.kinematics import compute_sides, compute_twist
 from acsar_gym.protocol import PRINTED_STEP, encode
 from acsar_gym.recording.types import Floats, WireLog
-from acsar_gym.tools.sysid.twin_replay import remove_jitter
+from acsar_gym.tools.sysid.tracks import remove_jitter
 
 Bools = NDArray[np.bool_]
 
@@ -84,14 +84,13 @@ class BoardTrack:
     """Speeds of the four wheels, (m, 4) [rad/s]."""
     numbers: NDArray[np.intp]
     """Places of the lines among all that arrived, (m,). Late lines are left out."""
-    held_out: Bools
-    """Whether a fit may not see a line, (m,)."""
     in_ros: bool = False
     """Whether the board is a controller in ROS 2, with its own stamps and no wire."""
 
     @property
     def duration(self) -> float:
         """Time that both commands and lines cover [s]."""
+        # Lines without commands show nothing, and neither do commands without lines.
         end = min(self.stamps[-1], self.arrivals[-1])
         return max(0.0, float(end - max(self.stamps[0], self.arrivals[0])))
 
@@ -107,8 +106,23 @@ class BoardTrack:
         is_turning = np.abs(self.commands[:-1]).max(axis=1) >= TURNING_SPEED
         return float(np.diff(self.arrivals)[is_turning].max(initial=0.0))
 
+    @property
+    def held_out(self) -> Bools:
+        """Whether a fit may not see a line, (m,)."""
+        # Whole blocks, since neighbouring lines are almost copies of each other.
+        blocks = ((self.stamps - self.stamps[0]) / HELD_OUT_BLOCK).astype(int)
+        held_out = blocks % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+
+        # A log has one pause or two, which the fit of the time-out needs.
+        for k in self.pauses:
+            start = self.arrivals[k] - PAUSE_MARGIN
+            end = self.arrivals[k + 1] + PAUSE_MARGIN
+            held_out &= (self.stamps < start) | (self.stamps > end)
+        return np.asarray(held_out)
+
     def loop_edges(self, dt: float) -> Floats:
         """Start of each firmware loop [s], for loops of `dt` [s]."""
+        # The wheels are at rest before the log, and the first window needs loops to average over.
         start = min(self.arrivals[0], self.stamps[0]) - REST_LEAD
         return np.asarray(start + dt * np.arange(int((self.stamps[-1] - start) / dt) + 2))
 
@@ -123,6 +137,7 @@ class BoardTrack:
 
     def cut_piece(self, start: float) -> BoardTrack:
         """Return the piece from a time [s] on."""
+        # Commands from before the piece still act on its first lines.
         end = start + PIECE_TIME
         lines = slice(*np.searchsorted(self.stamps, (start, end)))
         sent = slice(*np.searchsorted(self.arrivals, (start - PIECE_LEAD, end)))
@@ -148,6 +163,7 @@ def decode_tracks(logs: Sequence[WireLog], config: RobotConfig) -> list[BoardTra
         most was commanded are returned.
     """
     tracks = [track for log in logs if (track := _decode_track(log, config)) is not None]
+    # Hours of driving straight ahead show less than a minute of manoeuvres.
     if sum(track.duration for track in tracks) > MOST_PIECES * PIECE_TIME:
         pieces = [
             track.cut_piece(start)
@@ -159,13 +175,14 @@ def decode_tracks(logs: Sequence[WireLog], config: RobotConfig) -> list[BoardTra
         # The sum of all changes of the commands is how much a piece shows.
         pieces.sort(key=lambda piece: -np.abs(np.diff(piece.commands, axis=0)).sum())
         tracks = pieces[:MOST_PIECES]
-    return [replace(track, held_out=_hold_out(track)) for track in tracks]
+    return tracks
 
 
 def _decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
     """Decode one episode of the wire. None if it contains no commands or no lines."""
     # Topics of ROS have stamps of their own, and no wire.
     wire_time = 0.0 if log.stamped else config.wire_time
+    # A fit needs at least an interval of both.
     sent, commands = log.commands(config)
     got, speeds = log.feedback(config)
     if len(sent) < 2 or len(got) < 2:
@@ -195,22 +212,8 @@ def _decode_track(log: WireLog, config: RobotConfig) -> BoardTrack | None:
         stamps=stamps[chosen],
         speeds=speeds[chosen],
         numbers=numbers,
-        held_out=np.zeros(len(numbers), np.bool_),
         in_ros=log.stamped,
     )
-
-
-def _hold_out(track: BoardTrack) -> Bools:
-    """Choose the lines that a fit may not see."""
-    blocks = ((track.stamps - track.stamps[0]) / HELD_OUT_BLOCK).astype(int)
-    held_out = blocks % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
-
-    # A log has one pause or two, which the fit of the time-out needs.
-    for k in track.pauses:
-        start = track.arrivals[k] - PAUSE_MARGIN
-        end = track.arrivals[k + 1] + PAUSE_MARGIN
-        held_out &= (track.stamps < start) | (track.stamps > end)
-    return np.asarray(held_out)
 
 
 def resend_twists(log: WireLog, sender: RobotConfig, robot: RobotConfig) -> WireLog:
@@ -221,6 +224,7 @@ def resend_twists(log: WireLog, sender: RobotConfig, robot: RobotConfig) -> Wire
         sender: Robot by whose geometry commands were made into twists.
         robot: Robot by whose geometry its controller takes them.
     """
+    # Only a controller that takes twists converts them by its own geometry.
     if not log.stamped or robot.ros2.command == "wheel_speeds":
         return log
     if np.allclose(sender.twist_geometry, robot.twist_geometry, rtol=SAME_GEOMETRY, atol=0.0):
@@ -249,6 +253,7 @@ def find_quantum(speeds: Floats) -> Estimate | None:
         on. None if there are too few different speeds.
     """
     printed: Floats = np.asarray(np.round(np.abs(speeds), 2), np.float64)
+    # A quantized encoder prints few different numbers, many times.
     values, counts = np.unique(printed[printed > 0.0], return_counts=True)
     if len(values) < 2:
         return None
@@ -259,6 +264,7 @@ def find_quantum(speeds: Floats) -> Estimate | None:
     steps = np.exp(np.arange(np.log(2.0 * PRINTED_STEP), np.log(largest), ratio))
     few = values[np.linspace(0, len(values) - 1, 12).astype(int)]
     fits = np.zeros(len(steps), bool)
+    # Without a shift if numbers were rounded, with half a digit if they were cut.
     for shift in (0.0, -PRINTED_STEP / 2.0):
         hopeful = np.flatnonzero(_find_misfits(few - shift, steps).sum(axis=1) <= 2)
         misfits = _find_misfits(values - shift, steps[hopeful])

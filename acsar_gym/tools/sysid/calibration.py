@@ -85,6 +85,7 @@ class Geometry(NamedTuple):
     def of(cls, config: RobotConfig) -> Geometry:
         """Return the geometry that a robot is configured with."""
         sides = (config.left_wheel_radius_multiplier, config.right_wheel_radius_multiplier)
+        # Both multipliers together are a radius, and their difference is the ratio.
         mean = fmean(sides)
         ratio = (sides[1] - sides[0]) / mean
         return cls(config.wheel_radius * mean, ratio, config.wheel_separation_multiplier)
@@ -113,6 +114,7 @@ def integrate_wheels(
     Returns:
         x [m], y [m] and theta [rad] in the frame of the start, with full turns included.
     """
+    # The way of each side in each step, and what the robot turned by their difference.
     moved = np.diff(wheels, axis=0, prepend=0.0) * (geometry.left, geometry.right)
     way = (moved[:, 0] + moved[:, 1]) / 2.0
     turned = (moved[:, 1] - moved[:, 0]) / (separation * geometry.multiplier)
@@ -125,11 +127,26 @@ def integrate_wheels(
     return float(x), float(y), float(turned.sum())
 
 
-def predict_readings(run: CalibrationRun, geometry: Geometry, separation: float) -> list[float]:
-    """Return what each reading of a run should be by odometry [m, rad]."""
+def predict_readings(
+    run: CalibrationRun, geometry: Geometry, separation: float
+) -> tuple[list[float], list[float]]:
+    """Return what each reading of a run should be by odometry [m, rad].
+
+    Returns:
+        The readings, and the standard deviations of reading less odometry.
+    """
     x, y, theta = integrate_wheels(run.wheels, geometry, separation)
     values = {"distance": math.hypot(x, y), "aside": y, "heading": theta}
-    return [values[reading.kind] for reading in run.readings]
+
+    # Errors of both sides add up along the way, and turn the robot by the lever of the track.
+    rough = ODOMETRY_ROUGHNESS * rolled_distance(run, geometry.radius)
+    arm = separation * geometry.multiplier / 2.0
+    turning = math.hypot(rough / arm, SKID_SPREAD * abs(theta))
+    sigmas = [
+        math.hypot(reading.sigma, turning if reading.kind == "heading" else rough)
+        for reading in run.readings
+    ]
+    return [values[reading.kind] for reading in run.readings], sigmas
 
 
 def rolled_distance(run: CalibrationRun, radius: float) -> float:
@@ -137,20 +154,17 @@ def rolled_distance(run: CalibrationRun, radius: float) -> float:
     return float(np.abs(np.diff(run.wheels, axis=0)).sum()) * radius / 2.0
 
 
-def reading_sigmas(run: CalibrationRun, geometry: Geometry, separation: float) -> list[float]:
-    """Return the standard deviation of reading less odometry for each reading [m, rad]."""
-    # Errors of both sides add up along the way, and turn the robot by the lever of the track.
-    rough = ODOMETRY_ROUGHNESS * rolled_distance(run, geometry.radius)
-    arm = separation * geometry.multiplier / 2.0
-    skid = SKID_SPREAD * abs(integrate_wheels(run.wheels, geometry, separation)[2])
-    roughness = {"distance": rough, "aside": rough, "heading": math.hypot(rough / arm, skid)}
-    return [math.hypot(reading.sigma, roughness[reading.kind]) for reading in run.readings]
+def side_angles(wheels: Floats) -> Floats:
+    """Return the mean angle of the left and of the right wheels [rad], (n, 2), from all four."""
+    a, b, c, d = wheels.T
+    return np.column_stack((b + c, a + d)) / 2.0
 
 
 def hash_runs(runs: Sequence[CalibrationRun]) -> str:
     """Return the first 16 hex digits of the SHA-256 of runs and their readings."""
     digest = hashlib.sha256()
     for run in runs:
+        # Rounded, so that another computer finds the same hash.
         digest.update(np.round(run.wheels, 6).tobytes() + repr(run.readings).encode())
     return digest.hexdigest()[:16]
 
@@ -182,19 +196,19 @@ def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[
 
     runs: list[CalibrationRun] = []
     for episode in recording.episodes:
+        # Runs of `calibrate` are named. Other drives are of the kind that the user names.
         driven = str(episode.info.get("manoeuvre") or manoeuvre)
         if driven not in MANOEUVRES:
             raise ConfigError(f"{path}: say what was recorded: {' or '.join(MANOEUVRES)}")
         if manoeuvre not in (driven, "all") or not np.abs(episode.speeds).max(initial=0.0):
             continue
 
+        # Speeds of ticks add up to the angles of a run.
         dt = np.diff(episode.stamps, prepend=episode.start)
         dt[0] = min(dt[0], np.median(dt))  # the reset's wait for standstill is before the first
-        a, b, c, d = episode.speeds.T
-        sides = np.column_stack([b + c, a + d]) / 2.0
-        wheels = np.concatenate([np.zeros((1, 2)), np.cumsum(sides * dt[:, None], axis=0)])
+        turned = np.cumsum(side_angles(episode.speeds) * dt[:, None], axis=0)
         name = str(episode.info.get("run") or f"{driven} {len(runs) + 1} of {path.name}")[:100]
-        runs.append(CalibrationRun(name, driven, wheels))
+        runs.append(CalibrationRun(name, driven, np.vstack((np.zeros(2), turned))))
     if not runs:
         raise ConfigError(f"{path}: no {manoeuvre} episode in which a wheel turned")
     return runs
@@ -244,21 +258,17 @@ class GivenReadings(NamedTuple):
 
     def give(self, runs: Sequence[CalibrationRun]) -> list[CalibrationRun]:
         """Return the runs with these readings. If a drive failed, there are fewer runs."""
-        distances = iter(self.measured)
-        offsets = iter(self.aside)
-        angles = iter(self.degrees)
-
+        distances, offsets, angles = map(iter, self)
         measured_runs = []
+
         for run in runs:
-            readings: list[RunReading] = []
             if run.manoeuvre == "turn":
                 turned = np.diff(run.wheels[-1])[0]  # right less left: positive to the left
-                signed = (math.copysign(angle, turned) for angle in islice(angles, 1))
-                readings += map(read_protractor, signed)
+                readings = [read_protractor(math.copysign(x, turned)) for x in islice(angles, 1)]
             else:
                 # Backward runs have positive readings as well.
-                readings += (read_tape("distance", abs(x)) for x in islice(distances, 1))
-                readings += (read_tape("aside", y) for y in islice(offsets, 1))
+                readings = [read_tape("distance", abs(x)) for x in islice(distances, 1)]
+                readings += [read_tape("aside", y) for y in islice(offsets, 1)]
             measured_runs.append(replace(run, readings=tuple(readings) or run.readings))
         return measured_runs
 
@@ -270,7 +280,7 @@ def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
         ConfigError: A reading contradicts odometry by more than `CONTRADICTION_SHARE`.
     """
     geometry = Geometry.of(config)
-    odometry = predict_readings(run, geometry, config.wheel_separation)
+    odometry, _ = predict_readings(run, geometry, config.wheel_separation)
 
     for reading, expected in zip(run.readings, odometry, strict=True):
         low = 1.0 - CONTRADICTION_SHARE

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from acsar_gym.config import Geofence, RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.kinematics import compute_twist
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
 from acsar_gym.safety.rules import Reason
-from acsar_gym.tools.sysid.calibration import CalibrationRun, RunReading
+from acsar_gym.tools.sysid.calibration import CalibrationRun, RunReading, side_angles
 from acsar_gym.worlds import Pose, Scene
 from acsar_gym.worlds.search import footprint_radius
 from acsar_gym.worlds.world import to_odometry
@@ -101,6 +102,7 @@ def plan_turns(
         raise ConfigError(f"--radii {min(radii):g} to {max(radii):g}: must be 0 to 100 m")
 
     plans = []
+    # Left and right alternate, so that errors of one direction cancel.
     pairs = list(itertools.product(radii, speeds)) * repeats
     for number, (radius, rate) in enumerate(pairs, start=1):
         angle = math.tau * (turned if number % 2 else -turned)
@@ -131,13 +133,9 @@ def find_needed_space(plans: Sequence[RunPlan], config: RobotConfig) -> tuple[fl
     ahead = aside = 0.0
     for plan in plans:
         # A circle needs its radius ahead and its diameter to the side.
-        if plan.distance and plan.angle:
-            radius = plan.distance / abs(plan.angle)
-            half_turns = min(1.0, abs(plan.angle) / math.pi)
-            ahead = max(ahead, radius * math.sin(math.pi * min(half_turns, 0.5)))
-            aside = max(aside, radius * (1.0 - math.cos(math.pi * half_turns)))
-        else:
-            ahead = max(ahead, plan.distance)
+        radius = plan.distance / abs(plan.angle) if plan.angle else 0.0
+        ahead = max(ahead, radius or plan.distance)
+        aside = max(aside, 2.0 * radius)
 
     # The robot itself, and what an uncalibrated robot may be off.
     around = footprint_radius(config) + SPACE_MARGIN + SPACE_SLACK * max(ahead, aside)
@@ -150,6 +148,7 @@ def check_space(
     """Raise ConfigError if the stated space is missing, or too small for the runs."""
     ahead, aside = find_needed_space(plans, config)
     needed = f"{ahead + 0.005:.2f} {aside + 0.005:.2f}"
+    # A real robot needs a floor that the user has checked.
     if space is None:
         raise ConfigError(
             "--space is missing: say how much floor is free ahead and to each side; this needs "
@@ -177,6 +176,7 @@ def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -
     x = space[0] - reach
     y = space[1] - reach
     behind = min(x, y)
+    # The way back starts at the far end, so that the free floor is behind.
     if plan.back:
         return Geofence(min_x=-x, max_x=behind, min_y=-y, max_y=y)
     return Geofence(min_x=-behind, max_x=x, min_y=-y, max_y=y)
@@ -211,6 +211,7 @@ def drive_plans(
         ConfigError: The space is too small or not stated.
         LinkError: The robot can't be driven, or was stopped.
     """
+    # A simulated floor has no edge, but a plan that doesn't fit is still an error.
     simulated = robot.link.truth is not None
     if space is not None or not simulated:
         check_space(plans, robot.config, space)
@@ -240,25 +241,85 @@ def drive_run(robot: Robot, plan: RunPlan, *, reads_truth: bool = False) -> Cali
     Raises:
         LinkError: The link failed, or the robot was stopped or doesn't move on.
     """
-    run = _DrivenRun(robot, plan)
+    wheels = []
+    truth: list[Pose] = []
+
+    def follow() -> None:
+        wheels.append(robot.odometry.wheel_positions)
+        if robot.link.truth is not None:
+            truth.append(robot.link.truth.pose)
+
     try:
         robot.reset(Scene())
-        run.follow()
-        run.drive()
+        follow()
 
         # Wheels roll out before the end is measured.
-        for _ in range(math.ceil(REST_TIME / robot.config.period)):
-            run.tick(0.0, 0.0)
+        rollout = itertools.repeat((0.0, 0.0), math.ceil(REST_TIME / robot.config.period))
+        for twist in itertools.chain(_steer(robot, plan), rollout):
+            robot.drive(*twist)
+            follow()
+            _check_stopped(robot, plan)
     except BaseException as error:
         robot.deactivate(error)
         raise
     robot.deactivate()
-    readings = read_truth(run.truth, plan.manoeuvre) if reads_truth else ()
-    return CalibrationRun(plan.name, plan.manoeuvre, np.array(run.wheels), readings)
+    readings = read_truth(truth, plan.manoeuvre) if reads_truth else ()
+    return CalibrationRun(plan.name, plan.manoeuvre, side_angles(np.array(wheels)), readings)
+
+
+def _steer(robot: Robot, plan: RunPlan) -> Iterator[tuple[float, float]]:
+    """Yield the twist of each tick, along a line or a circle, or of a turn in place.
+
+    Raises:
+        LinkError: The robot doesn't arrive in time.
+    """
+    geometry = (*robot.config.wheel_radii, robot.config.effective_separation)
+    goal = plan.distance or abs(plan.angle)
+    seconds = 3.0 * goal / plan.speed + RUN_TIMEOUT
+    for _ in range(math.ceil(seconds / robot.config.period)):
+        # The twist of angles is a distance and a heading.
+        way, heading = compute_twist(*robot.odometry.wheel_positions, *geometry)
+        progress = abs(way) if plan.distance else math.copysign(1.0, plan.angle) * heading
+        if goal - progress < RUN_TOLERANCE:
+            return
+
+        # Slow down before the end, so that the robot neither slips nor overshoots.
+        approach = APPROACH_GAIN * (goal - progress) / plan.speed
+        speed = plan.speed * min(1.0, max(SLOWEST_SHARE, approach))
+        if plan.distance:
+            wanted = plan.angle * min(1.0, progress / goal)
+            rate = speed * plan.angle / goal + HEADING_GAIN * (wanted - heading)
+            yield -speed if plan.back else speed, rate
+        else:
+            yield 0.0, math.copysign(speed, plan.angle)
+
+    driven = f"{progress:.2f} of {goal:.2f} m"
+    if not plan.distance:
+        driven = f"{math.degrees(progress):.0f} of {math.degrees(goal):.0f} degrees"
+    raise LinkError(
+        f"{plan.name}: only {driven} by odometry",
+        "check that nothing blocks the robot, its battery, and 'acsar-gym doctor'",
+    )
+
+
+def _check_stopped(robot: Robot, plan: RunPlan) -> None:
+    """Raise LinkError if the safety layer holds the robot."""
+    if not robot.safety.stopped:
+        return
+    if robot.safety.reason != Reason.GEOFENCE:
+        raise LinkError(f"{plan.name}: ended by an emergency stop", "start again when it is safe")
+
+    # The fence stops a robot whose odometry is wrong before it hits what is beyond.
+    x, y, _ = robot.odometry.pose
+    raise LinkError(
+        f"{plan.name}: stopped at ({x:.2f}, {y:.2f}) m by odometry, the edge of the stated space",
+        "give more --space, or calibrate turns first",
+    )
 
 
 def read_truth(poses: Sequence[Pose], manoeuvre: str) -> tuple[RunReading, ...]:
     """Return the end of a run in the frame of its start, from the true pose at each tick."""
+    # Full turns count, and true headings are within half a turn.
     turned = float(np.unwrap([theta for _, _, theta in poses])[-1]) - poses[0][2]
     heading = RunReading("heading", turned, TRUTH_RADIANS, "truth")
     if manoeuvre == "turn":
@@ -266,77 +327,3 @@ def read_truth(poses: Sequence[Pose], manoeuvre: str) -> tuple[RunReading, ...]:
     x, y, _ = to_odometry(poses[0], poses[-1])
     distance = RunReading("distance", math.hypot(x, y), TRUTH_METRES, "truth")
     return (distance, RunReading("aside", y, TRUTH_METRES, "truth"), heading)
-
-
-class _DrivenRun:
-    """A run while it is driven."""
-
-    def __init__(self, robot: Robot, plan: RunPlan) -> None:
-        self.robot = robot
-        self.plan = plan
-        self.wheels: list[tuple[float, float]] = []
-        """Angles turned by the left and the right wheels [rad]."""
-        self.truth: list[Pose] = []
-        """True poses of a simulated robot."""
-
-    def drive(self) -> None:
-        """Drive along a line or a circle, or turn in place. LinkError if it doesn't end."""
-        plan = self.plan
-        goal = plan.distance or abs(plan.angle)
-        seconds = 3.0 * goal / plan.speed + RUN_TIMEOUT
-        for _ in range(math.ceil(seconds / self.robot.config.period)):
-            way, heading = self.measure()
-            progress = way if plan.distance else math.copysign(1.0, plan.angle) * heading
-            if goal - progress < RUN_TOLERANCE:
-                return
-
-            # Slow down before the end, so that the robot neither slips nor overshoots.
-            approach = APPROACH_GAIN * (goal - progress) / plan.speed
-            speed = plan.speed * min(1.0, max(SLOWEST_SHARE, approach))
-            if plan.distance:
-                wanted = plan.angle * min(1.0, progress / goal)
-                rate = speed * plan.angle / goal + HEADING_GAIN * (wanted - heading)
-                self.tick(-speed if plan.back else speed, rate)
-            else:
-                self.tick(0.0, math.copysign(speed, plan.angle))
-
-        done = f"{progress:.2f} of {goal:.2f} m"
-        if not plan.distance:
-            done = f"{math.degrees(progress):.0f} of {math.degrees(goal):.0f} degrees"
-        raise LinkError(
-            f"{plan.name}: only {done} by odometry",
-            "check that nothing blocks the robot, its battery, and 'acsar-gym doctor'",
-        )
-
-    def measure(self) -> tuple[float, float]:
-        """Return the driven distance [m] and the turned angle [rad] by odometry."""
-        radii = self.robot.config.wheel_radii
-        sides = [angle * radius for angle, radius in zip(self.wheels[-1], radii, strict=True)]
-        turned = (sides[1] - sides[0]) / self.robot.config.effective_separation
-        return abs(sides[0] + sides[1]) / 2.0, turned
-
-    def tick(self, linear: float, angular: float) -> None:
-        """Drive for one tick. LinkError if the safety layer holds the robot."""
-        robot = self.robot
-        robot.drive(linear, angular)
-        self.follow()
-        if not robot.safety.stopped:
-            return
-        if robot.safety.reason != Reason.GEOFENCE:
-            error = f"{self.plan.name}: ended by an emergency stop"
-            raise LinkError(error, "start again when it is safe")
-
-        # The fence stops a robot whose odometry is wrong before it hits what is beyond.
-        x, y, _ = robot.odometry.pose
-        raise LinkError(
-            f"{self.plan.name}: stopped at ({x:.2f}, {y:.2f}) m by odometry, the edge of the "
-            "stated space",
-            "give more --space, or calibrate turns first",
-        )
-
-    def follow(self) -> None:
-        """Note the wheels' angles, and the true pose of a simulated robot."""
-        a, b, c, d = self.robot.odometry.wheel_positions
-        self.wheels.append(((b + c) / 2.0, (a + d) / 2.0))
-        if self.robot.link.truth is not None:
-            self.truth.append(self.robot.link.truth.pose)

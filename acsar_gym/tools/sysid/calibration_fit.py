@@ -14,7 +14,7 @@ from statistics import fmean
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from acsar_gym.config import Measured, RobotConfig, update_measured
 from acsar_gym.errors import ConfigError, require_extra
@@ -28,7 +28,6 @@ from acsar_gym.tools.sysid.calibration import (
     check_readings,
     hash_runs,
     predict_readings,
-    reading_sigmas,
 )
 
 with require_extra("calibration", "scipy"):
@@ -114,11 +113,11 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
     centre = np.array([1.0, nominal.ratio, 1.0])
     units = np.array([nominal.radius, 1.0, nominal.multiplier])
     measured = np.array([reading.value for run in used for reading in run.readings])
-    sigmas = np.concatenate([reading_sigmas(run, nominal, separation) for run in used])
+    sigmas = np.concatenate([predict_readings(run, nominal, separation)[1] for run in used])
 
     def residuals(x: Floats) -> Floats:
         geometry = Geometry(*(x * units).tolist())
-        predicted = [predict_readings(run, geometry, separation) for run in used]
+        predicted = [predict_readings(run, geometry, separation)[0] for run in used]
         return np.asarray((measured - np.concatenate(predicted)) / sigmas)
 
     def solve(prior: Floats) -> tuple[Floats, Floats]:
@@ -156,14 +155,13 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
 
     # If residuals exceed their scales, something else moves the robot, in all runs perhaps alike.
     deviation = spread(precision, np.where(is_narrowed, PRIOR, _known_spread(config)))
+    excess = max(0.0, rms - 1.0)
     narrowed = {}
-    for index, (name, parameter) in enumerate(PARAMETERS.items()):
-        if is_narrowed[index]:
-            systematic = parameter.systematic + parameter.unmodelled * max(0.0, rms - 1.0)
-            half = NORMAL_QUANTILE * math.hypot(max(1.0, rms) * deviation[index], systematic)
-            narrowed[name] = Estimate.around(
-                float(x[index] * units[index]), float(half * units[index])
-            )
+    for index in np.flatnonzero(is_narrowed).tolist():
+        name, parameter = list(PARAMETERS.items())[index]
+        systematic = parameter.systematic + parameter.unmodelled * excess
+        half = NORMAL_QUANTILE * math.hypot((1.0 + excess) * deviation[index], systematic)
+        narrowed[name] = Estimate.around(*(np.array([x[index], half]) * units[index]).tolist())
     return GeometryFit(Geometry(*(x * units).tolist()), narrowed, used, rms)
 
 
@@ -186,6 +184,7 @@ def fitted_fields(fit: GeometryFit, config: RobotConfig) -> dict[str, Estimate]:
     multiplier, so that the twin turns as the robot does. That of a tyre is above 1.
     """
     fields: dict[str, Estimate] = {}
+    # Readings show the product of radius and multipliers, so that the multipliers' mean stays.
     mean = (config.left_wheel_radius_multiplier + config.right_wheel_radius_multiplier) / 2.0
 
     for name, interval in fit.narrowed.items():
@@ -229,6 +228,7 @@ def make_calibrated_config(
     elif MULTIPLIER_FIELD in fields:  # a multiplier that no tyre has ends the tyre's interval
         measured[TURN_FACTOR_FIELD] = None
 
+    # The controller converts twists by its own numbers, which the file keeps.
     if in_ros:
         error = 1.0
         if "wheel_radius" in fields and config.ros2.command != "wheel_speeds":
@@ -246,20 +246,19 @@ def make_calibrated_config(
     return config.with_(**changes, measured=update_measured(config.measured, measured))
 
 
-def _make_table(title: str, columns: Sequence[str]) -> Table:
-    """Return a table whose columns are aligned to the right, but for the first."""
-    table = Table(columns[0], title=title, title_justify="left")
-    for column in columns[1:]:
-        table.add_column(column, justify="right")
-    return table
+def _make_table(title: str, name: str, columns: str) -> Table:
+    """Return a table whose columns (a comma-separated list) are numbers, but for the first."""
+    numbers = (Column(column, justify="right") for column in columns.split(", "))
+    return Table(name, *numbers, title=title, title_justify="left")
 
 
 def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
     """Return the fitted fields with their intervals, next to the config's values."""
     title = "Calibrated, with 95 % intervals"
-    table = _make_table(title, ("field", "config", "found", "low", "high"))
+    table = _make_table(title, "field", "config, found, low, high")
 
     for name, interval in fitted_fields(fit, config).items():
+        # The turn factor is a field of the body, which a robot's file may lack.
         is_tyre = name == TURN_FACTOR_FIELD
         configured = config.body.turn_factor if is_tyre else getattr(config, name)
         numbers = ("-" if number is None else f"{number:.5f}" for number in (configured, *interval))
@@ -280,23 +279,21 @@ def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
 
 def runs_table(fit: GeometryFit, config: RobotConfig) -> Table:
     """Return every run's readings next to odometry, with the config's and the fitted geometry."""
-    columns = ("run", "measured", "odometry before", "after", "off by")
-    table = _make_table("Runs", columns)
+    table = _make_table("Runs", "run", "measured, odometry before, after, off by")
     separation = config.wheel_separation
 
     for run in fit.runs:
-        configured = predict_readings(run, Geometry.of(config), separation)
-        calibrated = predict_readings(run, fit.geometry, separation)
-        sigmas = reading_sigmas(run, fit.geometry, separation)
-        for number, reading in enumerate(run.readings):
-            off = reading.value - calibrated[number]
-            values = (reading.value, configured[number], calibrated[number], off)
-            cells = [reading.format(value) for value in values]
-            if abs(off) > 4.0 * sigmas[number]:
+        configured, _ = predict_readings(run, Geometry.of(config), separation)
+        fitted = zip(*predict_readings(run, fit.geometry, separation), strict=True)
+        name = escape_text(run.name)
+        for reading, guess, (value, sigma) in zip(run.readings, configured, fitted, strict=True):
+            off = reading.value - value
+            cells = [reading.format(number) for number in (reading.value, guess, value, off)]
+            if abs(off) > 4.0 * sigma:
                 cells[3] += " !"
                 table.caption = "! off by more than 4 times what its scale allows"
-            name = "" if number else escape_text(run.name)
             table.add_row(name, f"{reading.kind} {cells[0]}", *cells[1:])
+            name = ""  # further readings of the run
     return table
 
 
@@ -304,6 +301,7 @@ def format_calibration(
     fit: GeometryFit | None, runs: Sequence[CalibrationRun], config: RobotConfig
 ) -> dict[str, Any]:
     """Return the result for JSON. Without a fit, if no run has a reading, nothing is found."""
+    # Runs without readings are listed as well, to be measured later.
     fields = fitted_fields(fit, config) if fit else {}
 
     return {

@@ -59,6 +59,7 @@ def plan_excitation(
     config: RobotConfig, duration: float, period: float, *, sides: bool = False
 ) -> ExcitationPlan:
     """Make the commands of a manoeuvre, which differ for each wheel, or only for each side."""
+    # The same manoeuvre each time, so that drives can be compared.
     rng = np.random.default_rng(0)
     top = min(FASTEST_STEP, config.max_wheel_speed, config.max_linear / config.wheel_radius)
 
@@ -90,6 +91,7 @@ def _make_steps(ticks: int, top: float, period: float, rng: np.random.Generator)
         tick = 0
         sign = 1.0
         while tick < ticks:
+            # Steps of other lengths for each wheel tell the wheels apart.
             held = round(rng.uniform(*STEP_HOLD) / period)
 
             # Most steps change the direction, which shows a ramp best.
@@ -162,6 +164,7 @@ def drive_excitation(
     # The wheels needn't turn as configured: how they turn is to be found.
     tape = TapedLink(link)
     with Robot(tape, config.with_(wheel_check=False), recorder=recorder) as robot:
+        # A controller of ROS takes twists, of which both wheels of a side get the same speed.
         sides = link.commands_sides
         plan = plan_excitation(config, duration, config.period * TICK_STRETCH, sides=sides)
         geometry = (*config.wheel_radii, config.effective_separation)

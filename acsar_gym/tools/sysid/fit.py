@@ -209,10 +209,11 @@ class FitProblem:
         self.bounds = np.array([[row.to_fit(end) for end in row.bounds] for row in self.rows]).T
         self.deviations = np.array([row.deviation for row in self.rows])
         self.held_out = np.concatenate([track.held_out for track in tracks])
+        self.printed = np.concatenate([track.speeds for track in tracks]).T
 
         # Feedback in another unit exceeds the top speed, which is unknown then.
         top = config.motor.max_speed
-        fastest = max(float(np.abs(track.speeds).max()) for track in tracks)
+        fastest = float(np.abs(self.printed).max())
         if fastest > ABOVE_TOP * top:
             top = 1.1 * fastest
         self.responder = Responder(tracks, 1.0 / config.firmware.loop_rate, top, rounding)
@@ -235,14 +236,19 @@ class FitProblem:
         wheels = np.reshape(values[:DELAY], (-1, len(WHEEL_PARAMETERS))).tolist()
         return [WheelModel(*wheel) for wheel in wheels], BoardModel(*values[DELAY:])
 
+    def wheel_residuals(self, wheel: int, model: WheelModel, times: BoardModel) -> Floats:
+        """Return the errors of a wheel's answer on all lines [rad/s]."""
+        return np.asarray(self.responder.answers(wheel, model, times) - self.printed[wheel])
+
     def residuals(self, x: Floats) -> Floats:
         """Return the errors of all lines, (wheels, lines) [rad/s]."""
         models, times = self.split(x)
         pairs = zip(self.wheels, models, strict=True)
-        return np.array([self.responder.residuals(wheel, model, times) for wheel, model in pairs])
+        return np.array([self.wheel_residuals(wheel, model, times) for wheel, model in pairs])
 
     def jacobian(self, x: Floats, base: Floats) -> Floats:
         """Return the derivatives of these residuals, (wheels, lines, parameters)."""
+        # Differences, as the twin's ramp and deadband have no derivative in closed form.
         columns = np.zeros((*base.shape, len(x)))
         width = len(WHEEL_PARAMETERS)
         for k, wheel in enumerate(self.wheels):
@@ -250,7 +256,7 @@ class FitProblem:
             for p in (*range(k * width, (k + 1) * width), DELAY, WINDOW, TIMEOUT):
                 step = self.rows[p].step
                 models, times = self.split(_with(x, p, x[p] + step))
-                moved = self.responder.residuals(wheel, models[k], times)
+                moved = self.wheel_residuals(wheel, models[k], times)
                 columns[k, :, p] = (moved - base[k]) / step
         return columns
 
@@ -260,6 +266,7 @@ class FitProblem:
 
     def blocks(self) -> NDArray[np.intp]:
         """Return the number of each line's block of time."""
+        # Blocks of different tracks have different numbers.
         numbers = [np.full(1, -1)]
         for track in self.tracks:
             block = ((track.stamps - track.stamps[0]) / RESIDUAL_BLOCK).astype(np.intp)
@@ -299,6 +306,7 @@ def fit_tracks(
         AcsarError: A wheel doesn't answer its own command.
     """
     problem = FitProblem(tracks, wheels, config, Rounding(step))
+    # Wheels in another order would be fitted to wrong commands.
     check_wheel_order(problem)
     start = _search_start(problem)
     problem.prior[TIMEOUT] = start[TIMEOUT]
@@ -345,10 +353,10 @@ def check_wheel_order(problem: FitProblem) -> None:
 
     # The answers of a usual wheel to all commands, compared with the speeds of each wheel.
     models, times = problem.split(problem.prior)
-    speeds = np.concatenate([track.speeds for track in problem.tracks])
+    speeds = problem.printed
     answers = [problem.responder.answers(wheel, models[0], times) for wheel in range(len(WHEELS))]
-    sizes = np.sqrt(np.outer((speeds**2).sum(axis=0), np.square(answers).sum(axis=1)))
-    correlations = speeds.T @ np.transpose(answers) / np.maximum(sizes, 1e-9)
+    sizes = np.sqrt(np.outer(np.square(speeds).sum(axis=1), np.square(answers).sum(axis=1)))
+    correlations = speeds @ np.transpose(answers) / np.maximum(sizes, 1e-9)
     for wheel in problem.wheels:
         row = correlations[wheel]
         best = int(np.argmax(np.abs(row)))
@@ -368,6 +376,7 @@ def _with(x: Floats, place: int, value: float) -> Floats:
 
 def _search_start(problem: FitProblem) -> Floats:
     """Search delay, lags and deadbands on a grid, then the time-out."""
+    # Delay and lag explain the same lines, so that both are searched together.
     width = len(WHEEL_PARAMETERS)
     best = math.inf
     chosen = problem.prior
@@ -396,7 +405,7 @@ def _search_wheel(
     """Search lag and deadband of a wheel, whose gain is linear. Returns the cost as well."""
     fitted = ~problem.held_out
     wheel = problem.wheels[place]
-    printed = np.concatenate([track.speeds[:, wheel] for track in problem.tracks])[fitted]
+    printed = problem.printed[wheel, fitted]
     candidates = []
     searched = itertools.product(SEARCHED_LAGS, SEARCHED_SLOWNESSES, SEARCHED_DEADBANDS)
     for lag, slowness, deadband in searched:
@@ -459,6 +468,7 @@ def _estimate_spread(problem: FitProblem, residuals: Floats, jacobian: Floats) -
     "sandwich"). A parameter that no line shows has the prior's.
     """
     fitted = ~problem.held_out
+    # Outliers weigh as little in the interval as they do in the fit.
     errors = residuals[:, fitted].ravel()
     columns = jacobian[:, fitted].reshape(len(errors), -1)
     weights = 1.0 / np.sqrt(1.0 + (errors / _loss_scale(errors)) ** 2)  # of soft_l1

@@ -35,7 +35,7 @@ from acsar_gym.tools.sysid.fit import (
     Parameter,
     fit_tracks,
 )
-from acsar_gym.tools.sysid.pairs import check_same_robot
+from acsar_gym.tools.sysid.tracks import check_same_robot
 
 IDENTIFY_METHOD = "identify"
 FITS = "fits"
@@ -58,8 +58,7 @@ GAP_NOISE = 0.1
 """Difference of wheel speeds if a drive is repeated, RMS [rad/s]. `gap` can't see less.
 
 The same commands, with other phases of the board's clocks: 0.04 to 0.06, 0.1 at most (median and
-maximum of pairs, for simulated robots and tests/integer_board.py. `pytest -s -m slow
-tests/tools/sysid/test_integer_board.py -k repeated` prints some)."""
+maximum of 45 pairs of a drive, for simulated robots and for a board that computes in integers)."""
 NOISES = 2.0
 """A model fits if its held-out error is at most this many times the noise, or `GAP_NOISE` if that
 is larger."""
@@ -78,7 +77,6 @@ DELAY_QUANTILES = np.linspace(0.05, 0.95, 10)
 INFORMATIVE_SHARE = 0.2
 """A block shows a delay if it has this share of the median block's information."""
 NEVER_TURNED = "this wheel never turned"
-DELAY_NAME = BOARD_PARAMETERS[DELAY].name
 RATE_NAME = "firmware.feedback_rate"
 QUANTUM_NAME = "encoder.quantum"
 SHOWN_UNITS = {
@@ -86,7 +84,7 @@ SHOWN_UNITS = {
     "motor.gain": "",
     "motor.acceleration": "rad/s^2",
     "motor.deadband": "rad/s",
-    DELAY_NAME: "ms",
+    "firmware.command_delay": "ms",
     "firmware.command_timeout": "ms",
     RATE_NAME: "Hz",
     "encoder.window": "ms",
@@ -167,6 +165,7 @@ class Identification:
     @property
     def misfit(self) -> str:
         """In which way the model doesn't describe the board. Empty if it does."""
+        # A gain that is far off is a wrong unit, whatever the error is.
         for finding in self.findings:
             if finding.name != "motor.gain" or not (finding.value and finding.before):
                 continue
@@ -191,6 +190,7 @@ class Identification:
         Raises:
             AcsarError: It isn't. The message gives the reason.
         """
+        # The most useful reason comes first.
         if len(self.dead) == len(WHEELS):
             raise AcsarError(
                 "nothing to write: no wheel turned; check the motors' power and every encoder, "
@@ -216,6 +216,7 @@ class Identification:
         Raises:
             ConfigError: A finding contradicts another field, which the message names.
         """
+        # Values go to their fields, and their intervals to `measured`.
         changes: dict[str, Any] = {"motor": {}, "firmware": {}, "encoder": {}}
         measured: dict[str, Measured | None] = {}
         for finding in self.findings:
@@ -277,6 +278,7 @@ def identify_files(paths: Sequence[Path], config: RobotConfig | None) -> Identif
     Raises:
         ConfigError: A file can't be read, or they are of different robots.
     """
+    # Logs of two robots would be averaged.
     recordings = [(str(path), read(path)) for path in paths]
     check_same_robot(recordings, "identify")
     robot = config or recordings[0][1].config
@@ -444,6 +446,7 @@ def _find_wheels(
 
 def _merge(estimates: dict[int, Estimate]) -> dict[int, Estimate]:
     """Return the wheels' mean for all of them if it lies in each interval."""
+    # A narrow interval counts more.
     values, lows, highs = np.array(list(estimates.values())).T
     mean = float(np.average(values, weights=(highs - lows) ** -2.0))
     if not ((lows <= mean) & (mean <= highs)).all():
@@ -546,6 +549,7 @@ def sample_delays(fit: MotorFit) -> tuple[float, ...]:
 
     The delay of a block of the log is the shift that explains its residuals best.
     """
+    # An answer that is later changes a residual by its derivative by the delay.
     blocks = fit.problem.blocks()
     slopes = fit.jacobian[:, :, DELAY]
     information = np.bincount(blocks, (slopes**2).sum(axis=0))
@@ -577,6 +581,7 @@ def identification_table(identification: Identification) -> Table:
         table.add_column(column, overflow="fold")
 
     for finding in identification.findings:
+        # Numbers have the unit of the table, not that of the file.
         unit = SHOWN_UNITS[finding.name]
         numbers = (finding.value, finding.low, finding.high, finding.before)
         value, low, high, configured = (_format_number(number, unit) for number in numbers)

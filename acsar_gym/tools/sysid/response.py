@@ -25,7 +25,7 @@ that the loop already has the latter."""
 PHASE_SPREAD = 0.5
 """Spread of set points in a loop, for `simulate_speeds`."""
 KEPT_COMMANDS = 64
-"""Delays and time-outs for which each track's commands are kept. Any small number will do."""
+"""Most delays and time-outs for which each track's commands are kept. Any small number will do."""
 ROUNDING_BLUR = 0.2
 """Finer steps of printed numbers average out: speeds differ by half of this if a drive is repeated
 [rad/s]."""
@@ -152,12 +152,8 @@ class Responder:
             [self._answer(place, wheel, model, times) for place in range(len(self.tracks))]
         )
 
-    def residuals(self, wheel: int, model: WheelModel, times: BoardModel) -> Floats:
-        """Return the errors of one wheel's answer on all lines of all tracks [rad/s]."""
-        printed = np.concatenate([track.speeds[:, wheel] for track in self.tracks])
-        return np.asarray(self.answers(wheel, model, times) - printed)
-
     def _answer(self, place: int, wheel: int, model: WheelModel, times: BoardModel) -> Floats:
+        # The twin's own loop, with the parameters that are tried.
         edges, (older, newer, share) = self._commands(place, times)
         speeds = simulate_speeds(
             (older[wheel], newer[wheel], share),
@@ -184,9 +180,10 @@ class Responder:
 
         # Derivatives use the same delays and time-outs again and again.
         if len(self.kept) >= KEPT_COMMANDS:
-            del self.kept[next(iter(self.kept))]
+            self.kept.clear()
         track = self.tracks[place]
         edges = track.loop_edges(self.dt)
+        # A time-out acts as a command of zero.
         arrivals, commands = track.apply_timeout(times.timeout)
         stamps = arrivals + times.delay
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
+from boards import FailingLink
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError
-from acsar_gym.links import Link
-from acsar_gym.links.base import LinkWrapper
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.board_log import decode_tracks
 from acsar_gym.tools.sysid.excitation import (
@@ -58,25 +59,15 @@ def test_taped_link_logs_a_serial_wire_finer_than_ticks(
     assert tape.log.sent[-1].startswith(ZEROS)
 
 
-class FailingLink(LinkWrapper):
-    """A link that is lost after a number of periods, and remembers what was sent."""
+class WatchedLink(FailingLink):
+    """Remembers what was sent last, and whether it was closed."""
 
-    def __init__(self, link: Link, fails_at: int) -> None:
-        super().__init__(link)
-        self.ticks = 0
-        self.is_closed = False
-        self.sent = b""
-        self._fails_at = fails_at
+    is_closed = False
+    sent = b""
 
     def write(self, data: bytes) -> None:
         self.sent = data
         super().write(data)
-
-    def advance(self, period: float) -> bytes:
-        self.ticks += 1
-        if self.ticks == self._fails_at:
-            raise LinkError("lost", "plug it in")
-        return super().advance(period)
 
     def close(self) -> None:
         self.is_closed = True
@@ -85,12 +76,12 @@ class FailingLink(LinkWrapper):
 
 @pytest.mark.parametrize("reason", ["lost", "emergency stop", "geofence"])
 def test_drive_excitation_ends_with_zeros(reason: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    link = FailingLink(open_link("planar", ACSAR), fails_at=300 if reason == "lost" else 0)
+    link = WatchedLink(open_link("planar", ACSAR), after=3.0 if reason == "lost" else math.inf)
     fence = {"min_x": -0.02, "max_x": 0.02} if reason == "geofence" else None
     tick = Robot.tick
 
     def stop_late(robot: Robot, speeds: tuple[float, ...]) -> None:
-        if reason == "emergency stop" and link.ticks > 50:
+        if reason == "emergency stop" and link.now() > 0.5:
             robot.estop()
         tick(robot, speeds)
 

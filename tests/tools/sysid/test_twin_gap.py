@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -15,7 +16,13 @@ from acsar_gym import RobotConfig
 from acsar_gym.config import Measured
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Floats, Recording
-from acsar_gym.tools.sysid.twin_gap import TwinGap, conclude_gap, measure_gap
+from acsar_gym.tools.sysid.twin_gap import (
+    GAP_METRICS,
+    EpisodeReplay,
+    TwinGap,
+    conclude_gap,
+    measure_gap,
+)
 
 ACSAR = RobotConfig.preset("acsar")
 ROBOT = ACSAR.with_(**HIDDEN)
@@ -52,8 +59,7 @@ def test_measure_gap_of_the_right_twin_is_a_tenth() -> None:
     ("changes", "field"),
     [
         ({"wheels": {"b": {"motor": "b", "sign": -1}}}, r"wheels\.b"),
-        ({"baud_rate": 57600}, "baud_rate"),
-        ({"wheelbase": 0.35}, "wheelbase"),
+        ({"wheelbase": 0.35}, "wheelbase is 0.35 m, but 0.22 m in a"),
     ],
 )
 def test_measure_gap_refuses_logs_of_different_robots(changes: dict[str, Any], field: str) -> None:
@@ -95,6 +101,25 @@ def test_measure_gap_finds_ten_milliseconds_of_delay() -> None:
     assert shift == pytest.approx(0.020, abs=0.002)  # the answer is late as well
 
 
+def test_figures_pool_squares_by_duration() -> None:
+    replays = [
+        EpisodeReplay(
+            "a",
+            0,
+            fitted=False,
+            seconds=seconds,
+            truth=True,
+            figures={"after": dict.fromkeys(GAP_METRICS, size)},
+        )
+        for seconds, size in ((1.0, 1.0), (3.0, 2.0))
+    ]
+    replays[1].figures["after"]["time_shift"] = math.nan
+
+    pooled = TwinGap("robot", "acsar", "planar", tuple(replays), ()).figures("after")
+    assert pooled["wheel_speed_rms"] == pytest.approx(math.sqrt(13.0 / 4.0))
+    assert (pooled["end_pose"], pooled["time_shift"]) == (1.5, 1.0)
+
+
 @pytest.mark.parametrize("fits", [True, False])
 def test_measure_gap_judges_held_out_logs(*, fits: bool) -> None:
     """Also if the model didn't fit, and values have no intervals."""
@@ -114,18 +139,20 @@ def test_measure_gap_judges_held_out_logs(*, fits: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("move", "reason"),
+    ("field", "damage", "reason"),
     [
-        (lambda stamps: stamps * 1e6, "is longer than 4 h"),
-        (lambda stamps: stamps[::-1], "its times go backwards"),
-        (lambda stamps: stamps[:1], "holds less than 1 s"),
+        ("stamps", lambda stamps: stamps * 1e6, "is longer than 4 h"),
+        ("stamps", lambda stamps: stamps[::-1], "its times go backwards"),
+        ("stamps", lambda stamps: stamps[:1], "holds less than 1 s"),
+        ("poses", lambda poses: poses * np.nan, "its odometry isn't finite"),
     ],
 )
 def test_measure_gap_leaves_a_damaged_episode_out(
-    move: Callable[[Floats], Floats], reason: str
+    field: str, damage: Callable[[Floats], Floats], reason: str
 ) -> None:
     episode = log().episodes[0]
-    damaged = replace(episode, stamps=move(episode.stamps))
+    fields: dict[str, Any] = {field: damage(getattr(episode, field))}
+    damaged = replace(episode, **fields)
     gap = measure(replace(log(), episodes=(damaged, episode)))
     assert gap.notes[0].startswith(f"a #0: left out, {reason}")
     assert [replay.episode for replay in gap.replays] == [1]
