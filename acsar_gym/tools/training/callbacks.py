@@ -22,8 +22,6 @@ from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds.crowd import PERSON_HIT
 
 DRAWN_COLUMNS = ("success_rate", "mean_return", "collision_rate")
-CHECKPOINT_SECONDS = 60.0
-"""Time between two checkpoints [s]. A killed training loses up to this and a rollout."""
 
 
 class TargetReached(Exception):  # noqa: N818 - ends a training, and isn't an error
@@ -94,7 +92,7 @@ class TrainingWatch(BaseCallback):
         now = time.monotonic()
         if self.n_calls == 0:
             self._saved = now
-        elif now >= self._saved + CHECKPOINT_SECONDS:
+        elif now >= self._saved + self._plan.options.checkpoint_seconds:
             folders.write_checkpoint(self.model, self._out)
             self._saved = time.monotonic()
 

@@ -88,6 +88,8 @@ class TrainingOptions(Section):
     """Widths of the hidden layers, such as 64 64. Default: the recipe's."""
     progress: bool = True
     """Show a progress bar."""
+    checkpoint_seconds: Annotated[float, Field(ge=0, le=86_400)] = 60.0
+    """Time between two checkpoints [s]."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|model.zip")] = None
     """Folder of a training to go on with, at its newest file, or a model.zip to train on in a new
     training, with the hyperparameters in it. Needs --trust."""

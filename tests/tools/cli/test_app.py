@@ -144,7 +144,7 @@ def test_bags_are_read_as_recordings(call: Call, tmp_path: Path) -> None:
         (("record", "info", bag), "1 episode, 6.0 s"),
         (("record", "export", bag, "--to", "csv"), "ticks.csv"),
         (("gap", bag), "1 held-out episode"),
-        (("identify", bag), "motor.time_constant"),
+        (("identify", "--from", bag), "motor.time_constant"),
     ]
     for command, result in results:
         code, out, error = call(*command, "--robot", "acsar")
@@ -154,6 +154,7 @@ def test_bags_are_read_as_recordings(call: Call, tmp_path: Path) -> None:
 
     errors: list[tuple[tuple[str | Path, ...], str]] = [
         (("record", "info", bag), "is a ROS 2 bag: name its robot with --robot PRESET|FILE"),
+        (("identify", "planar", "--from", bag), "--from: give a device, or recordings with --from"),
         (("gap", tape, "--robot", "acsar", "--topics", "/robot1"), "--topics is for ROS 2 bags"),
     ]
     for command, message in errors:

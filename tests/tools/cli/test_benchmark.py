@@ -52,12 +52,14 @@ def test_benchmark_writes_json_and_a_page(call: Call, tmp_path: Path) -> None:
     small = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar", "--scenes", "2")
     agents = ("--agents", "packaged", "turn_drive")
     page_file = tmp_path / "page.html"
-    files = ("--out", tmp_path / "run", "--html", page_file)
+    json_file = tmp_path / "rows.json"
+    files = ("--out", tmp_path / "run", "--html", page_file, "--json", json_file)
     code, out, error = call("benchmark", *small, *agents, *files)
     assert code == 0, error
     assert "packaged" in out
 
-    result = json.loads((tmp_path / "run" / "benchmark.json").read_text())
+    result = json.loads(json_file.read_text())
+    assert json_file.read_text() == (tmp_path / "run" / "benchmark.json").read_text()
     rates = {row["agent"]: row["success_rate"] for row in result["rows"]}
     assert rates == {"packaged": 1.0, "turn_drive": 1.0}
     page = page_file.read_text()

@@ -86,10 +86,12 @@ def test_resume_goes_on_at_the_newest_model(
             raise ending
         on_rollout_end(self)
 
-    monkeypatch.setattr(callbacks, "CHECKPOINT_SECONDS", 0.0)
     with monkeypatch.context() as patch, pytest.raises(ending):
         patch.setattr(callbacks.TrainingWatch, "_on_rollout_end", end)
-        train(tiny(tmp_path, algo=algo, steps=STEPS, seed=7, learning_rate=0.003))
+        options = tiny(
+            tmp_path, algo=algo, steps=STEPS, seed=7, learning_rate=0.003, checkpoint_seconds=0.0
+        )
+        train(options)
     newest = folders.find_models(tmp_path)[0]
     steps = folders.count_steps(newest)
     assert 0 < steps < STEPS
@@ -170,18 +172,15 @@ def test_resume_takes_more_steps_and_writes_a_missing_policy(
 def test_train_leaves_the_last_checkpoint_on_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from acsar_gym.tools.training import callbacks
-
     write = folders.write_model
 
     def write_until_full(model: Any, path: Path) -> None:
         with full_disk(1000) if model.num_timesteps == 512 else contextlib.nullcontext():
             write(model, path)
 
-    monkeypatch.setattr(callbacks, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(folders, "write_model", write_until_full)
     with pytest.raises(AcsarError) as error:
-        train(tiny(tmp_path, steps=768))
+        train(tiny(tmp_path, steps=768, checkpoint_seconds=0.0))
     message = str(error.value)
     del error
     gc.collect()  # the file that stable-baselines3 leaves open: here, not in a later test

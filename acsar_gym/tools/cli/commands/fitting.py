@@ -94,6 +94,7 @@ def identify_robot(
     setup: FoundRobotOptions,
     output: FoundRobotOutputs,
     bag: BagOptions,
+    logs: Annotated[tuple[str, ...], tyro.conf.arg(name="from", metavar="LOG [LOG ...]")] = (),
     duration: float = DURATION,
     yes: bool = False,
     anyway: bool = False,
@@ -111,6 +112,7 @@ def identify_robot(
         setup: Robot and recording.
         output: Results.
         bag: Options of ROS 2 bags.
+        logs: Recordings or ROS 2 bags, instead of a device.
         duration: Duration of the manoeuvre [s].
         yes: Don't ask before the wheels turn.
         anyway: Write the file even if the model doesn't fit: without intervals, and with a remark.
@@ -118,7 +120,7 @@ def identify_robot(
     from acsar_gym.tools.sysid import identify
 
     output.check()
-    if recordings := _list_logs(sources):
+    if recordings := _list_logs(sources, logs):
         setup.check_recorded(has_duration=duration != DURATION)
         config = None if setup.robot is None else RobotConfig.of(setup.robot)
         paths = [bag.open(path, setup.robot) for path in recordings]
@@ -163,21 +165,21 @@ def _drive_and_identify(
     return result
 
 
-def _list_logs(sources: Sequence[str]) -> list[Path]:
+def _list_logs(sources: Sequence[str], logs: Sequence[str]) -> list[Path]:
     """List the recordings and bags that are named. Empty if a device is named."""
-    if not sources:
+    if logs and sources:
+        raise ConfigError("--from: give a device, or recordings with --from, not both")
+    paths = [Path(source) for source in (*sources, *logs)]
+    if not paths:
         raise ConfigError("identify needs a device, or recordings made with --record")
-    paths = [Path(source) for source in sources]
-    devices = [
-        path
-        for path in paths
-        if not (path.suffix in (".mcap", ".db3") or path.is_file() or path.is_dir())
+    are_files = [
+        path.suffix in (".mcap", ".db3") or path.is_file() or path.is_dir() for path in paths
     ]
-    # A name that isn't a file is a device, such as one that isn't plugged in.
-    if len(paths) == len(devices) == 1:
+    if not (logs or any(are_files) or len(sources) > 1):
         return []
-    if devices:
-        raise ConfigError(f"{devices[0]}: isn't a recording; give one device, or recordings only")
+    if not all(are_files):
+        device = paths[are_files.index(False)]
+        raise ConfigError(f"{device}: isn't a recording; give one device, or recordings only")
     return paths
 
 

@@ -40,12 +40,20 @@ if TYPE_CHECKING:
 
 
 @command("demo")
-def show_demo(steps: int = 150_000, episodes: int = 100, out: File = None) -> int:
+def show_demo(
+    output: ResultOptions,
+    steps: int = 150_000,
+    episodes: int = 100,
+    serial_episodes: int = 6,
+    out: File = None,
+) -> int:
     """Train a policy, run it in PyBullet, then over a serial device. Print one table.
 
     Args:
+        output: Results in a file.
         steps: Env steps of the training.
-        episodes: Episodes in PyBullet. Over the emulator's pseudo-terminal, in real time, a 16th.
+        episodes: Episodes in PyBullet.
+        serial_episodes: Episodes over the emulator's pseudo-terminal, in real time.
         out: New or empty folder for the policy and the logs. Default: runs/demo/1, 2, ...
     """
     from acsar_gym.tools.demo import run_demo
@@ -55,13 +63,16 @@ def show_demo(steps: int = 150_000, episodes: int = 100, out: File = None) -> in
 
     # Report wrong numbers before anything is compiled.
     TrainingOptions(steps=steps)
-    seed_range(0, episodes)
+    output.check()
+    for count in (episodes, serial_episodes):
+        seed_range(0, count)
 
     folder = make_folder(out, "demo")
-    runs = run_demo(steps, episodes, max(1, episodes // 16), folder)
+    runs = run_demo(steps, episodes, serial_episodes, folder)
     rows = [(name, run.summary) for name, run in runs]
     title = f"One policy file, {folder / 'policy.onnx'}, worlds: {runs[0][1].worlds}"
-    report.print_tables(report.summary_table(title, rows))
+    data = {name: run.as_dict() for name, run in runs}
+    output.print(report.summary_table(title, rows), data=data)
     return 0 if all(summary.success_rate >= 0.95 for _, summary in rows) else 1
 
 
@@ -347,7 +358,7 @@ class BenchmarkChoice:
 
 
 @dataclass(frozen=True)
-class BenchmarkOutputs:
+class BenchmarkOutputs(ResultOptions):
     """Where it runs, and what it writes."""
 
     out: Folder = None
@@ -373,6 +384,7 @@ class BenchmarkOutputs:
         from acsar_gym.tools.benchmark import report
 
         # A benchmark takes hours: every file is checked before it starts.
+        super().check()
         report.check_figure(self.figure, self.html)
         check_page(self.html)
         check_writable(self.latex)
@@ -414,7 +426,8 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     # The results.
     result = report.make_result(chosen.as_dict(), cells)
     file = folder / runner.RESULT_FILE
-    write_json(file, {"origin": describe_origin(), **result}, indent=None)
+    for path in (file, how.json):
+        write_json(path, {"origin": describe_origin(), **result}, indent=None)
     for path, write in (
         (how.html, report.write_benchmark_page),
         (how.csv, report.write_csv),
