@@ -223,11 +223,11 @@ def check_extra(feature: str, extra: str, *modules: str) -> None:
             raise MissingExtraError(feature, extra)
 
 
-@contextlib.contextmanager
-def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Iterator[None]:
+class TranslatedErrors:
     """Turn an exception of a user's code into an error that names the task or sensor and the line.
 
-    An AcsarError passes, with the name as a note.
+    An AcsarError passes, with the name as a note. It is a class, because every step enters several
+    of these blocks, and those of `contextlib` take longer.
 
     Args:
         kind: Class of the error.
@@ -236,12 +236,21 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
     Raises:
         AcsarError: An error of that class.
     """
-    try:
-        yield
-    except AcsarError as error:
-        error.add_note(source())
-        raise
-    except Exception as error:
+
+    def __init__(self, kind: type[AcsarError], source: Callable[[], str]) -> None:
+        self._kind = kind
+        self._source = source
+
+    def __enter__(self) -> None:
+        """Nothing has to be prepared."""
+
+    def __exit__(self, _kind: object, error: BaseException | None, _frames: object) -> None:
+        """Translate the error, if there is one."""
+        if isinstance(error, AcsarError):
+            error.add_note(self._source())
+            return
+        if not isinstance(error, Exception):
+            return
         import traceback  # noqa: PLC0415 - 'acsar-gym estop' starts without it
 
         # Name the last line in the user's own file, and not a line in a library that it calls.
@@ -252,7 +261,7 @@ def translate_errors(kind: type[AcsarError], source: Callable[[], str]) -> Itera
             file = users[0].filename
             line = [frame.lineno for frame in users if frame.filename == file][-1]
             message = f"{users[0].name}() raised {message} ({file}:{line})"
-        raise kind(f"{source()}: {message}") from error
+        raise self._kind(f"{self._source()}: {message}") from error
 
 
 def show_value(value: object) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from acsar_gym.worlds import Pose
 from acsar_gym.worlds.crowd import Crowd
 
 
-@dataclass(frozen=True, slots=True)
-class GroundTruth:
+class GroundTruth(NamedTuple):
     """What only a simulator knows, in the frame of the world.
 
     It is never part of an observation.

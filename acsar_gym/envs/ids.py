@@ -27,6 +27,7 @@ def full_id(name: str) -> str:
     """
     if not name or "/" in name or ":" in name:
         return name
+    # The table has the newest version of each id only.
     kind = name.replace("_", "").lower()
     newest = next((env_id for env_id in IDS if env_id.lower().startswith(f"{kind}-")), None)
     return f"acsar_gym/{newest or name.title().replace('_', '')}"

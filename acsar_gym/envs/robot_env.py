@@ -7,7 +7,7 @@ import copy
 import math
 import sys
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, Self
 
 import gymnasium
@@ -203,6 +203,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         config = RobotConfig.of(robot)
         rate = self._options.policy_rate
         self.render_mode = self._options.render_mode
+        # Recorders read the rate of pictures here.
         self.metadata = {**type(self).metadata, "render_fps": rate}
         self.ticks_per_step = whole_ratio("control_rate", config.control_rate, "policy_rate", rate)
 
@@ -291,6 +292,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         """
         self._halt()
         self._last_step = None
+        # Wrappers are added after the env was made, so they are looked for at each reset.
         self._limits = find_limits(self)
         super().reset(seed=int(seed) if isinstance(seed, np.integer) else seed)
 
@@ -312,11 +314,15 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         sensed = self.robot.read().astype(np.float32)
         self._screen.begin(assignment, self.task.goal_tolerance)
 
-        with self._deactivating():
+        # The task or a sensor may fail.
+        try:
             state, truth = self._observe(self._episode, (0.0, 0.0), sensed)
             self._episode.begin(state)
             observation, info = self._describe_step(self._episode, state, truth)
             self._recorder.after_step(self.robot, StepResult(0, observation))
+        except BaseException as error:
+            self.robot.deactivate(error)
+            raise
         return observation, info
 
     def step(self, action: NDArray[np.floating]) -> Step:
@@ -350,10 +356,13 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         # Steps that a fault ends aren't counted.
         episode.steps += 1
 
-        with self._deactivating():
+        try:
             state, truth = self._observe(episode, twist, sensed)
             reward, outcome = episode.step(state)
             observation, info = self._describe_step(episode, state, truth)
+        except BaseException as error:
+            self.robot.deactivate(error)
+            raise
 
         terminated, truncated = self._find_end(episode)
         is_success = outcome is Outcome.SUCCESS
@@ -396,6 +405,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         self, episode: RunningEpisode, action: NDArray[np.float64], error: LinkError
     ) -> Step:
         """Truncate the episode with the last observation, or raise the error."""
+        # Before the first observation there is nothing that could be returned.
         if self._last_step is None or self._options.on_fault == "raise":
             raise error
 
@@ -412,21 +422,13 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     def _find_end(self, episode: RunningEpisode) -> tuple[bool, bool]:
         """Whether the episode has terminated or been truncated. The wheels stop at its end."""
+        # A wrapper's limit ends the episode, too, and the wheels must not run on meanwhile.
         terminated = episode.outcome is not Outcome.GOING
         truncated = episode.steps >= self._max_steps or any(map(is_last_step, self._limits))
         if terminated or truncated:
             self._has_ended = True
             self._halt()
         return terminated, truncated
-
-    @contextlib.contextmanager
-    def _deactivating(self) -> Iterator[None]:
-        """Deactivate the robot after any error: the task or a sensor may fail."""
-        try:
-            yield
-        except BaseException as error:
-            self.robot.deactivate(error)
-            raise
 
     def _halt(self) -> None:
         """Stop the wheels between episodes.
@@ -530,6 +532,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         Raises:
             ConfigError: There was no reset.
         """
+        # In mode human the window is updated with each step.
         if self.render_mode != "rgb_array":
             return None
         if not self.robot.active:
@@ -574,6 +577,7 @@ def _step_info(episode: RunningEpisode, state: State, truth: GroundTruth | None)
     x, y, theta = state.pose
     goal_x, goal_y = state.goal
     start = episode.assignment.start
+    # The simulator knows the frame of the world, and info is in that of odometry.
     true_x, true_y, true_theta = to_odometry(start, truth.pose) if truth else UNKNOWN_POSE
 
     return StepInfo(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, ConfigError, show_value, translate_errors
+from acsar_gym.errors import AcsarError, ConfigError, TranslatedErrors, show_value
 from acsar_gym.lidar.contract import Lidar
 from acsar_gym.lidar.replayed import ReplayedLidar
 from acsar_gym.lidar.simulated import SimulatedLidar
@@ -42,7 +42,7 @@ def open_lidar(url: Any, link: Link, config: RobotConfig) -> Lidar:
     # A user's own: an object, its class, or "module:Class".
     made = import_object("lidar", name) if ":" in name and "/" not in name else url
     if isinstance(made, type) or made is not url:
-        with translate_errors(AcsarError, lambda: f"lidar = {show_value(url)}"):
+        with TranslatedErrors(AcsarError, lambda: f"lidar = {show_value(url)}"):
             made = made(link, config)
     if not all(callable(getattr(made, method, None)) for method in ("reset", "scan", "close")):
         raise ConfigError(

@@ -98,9 +98,11 @@ class Body:
     @property
     def truth(self) -> GroundTruth:
         """Ground truth of the robot, in the frame of the world."""
+        # Odometry can't see sideways motion, so the twist has only the forward speed.
         (x, y, theta), (vx, vy, rate) = self._locate()
         forward = vx * math.cos(theta) + vy * math.sin(theta)
-        return GroundTruth((x, y, wrap_angle(theta)), (forward, rate), self._touched)
+        pose = (x, y, math.remainder(theta, math.tau))
+        return GroundTruth(pose, (forward, rate), self._touched)
 
     @property
     def power(self) -> float:
@@ -142,6 +144,7 @@ class Chassis(NamedTuple):
         body = config.body
         radius = config.wheel_radius
         bottom = min(CHASSIS_CLEARANCE, radius) - radius
+        # A body's width reaches to the outer sides of its tyres, so their width follows.
         tyre = max(0.02, body.width - config.wheel_separation)
         return cls(
             bottom,
@@ -156,11 +159,6 @@ def wheel_hubs(half_wheelbase: float, half_track: float) -> list[tuple[float, fl
     x = half_wheelbase
     y = half_track
     return [(x, -y), (x, y), (-x, y), (-x, -y)]
-
-
-def wrap_angle(theta: float) -> float:
-    """Wrap an angle to [-pi, pi] [rad]."""
-    return math.remainder(theta, math.tau)
 
 
 def has_display() -> bool:

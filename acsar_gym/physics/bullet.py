@@ -145,8 +145,10 @@ class BulletBody(Body):
         engine = self._engine
         engine.resetSimulation()
         engine.setGravity(0.0, 0.0, -model.GRAVITY)
+        # Without deterministic pairs the same seed might give other contacts.
         engine.setPhysicsEngineParameter(fixedTimeStep=self._dt, deterministicOverlappingPairs=1)
         floor = engine.createMultiBody(0.0, engine.createCollisionShape(pybullet.GEOM_PLANE))
+        # Tyre forces come from `physics.model`: the floor only carries the robot.
         engine.changeDynamics(floor, -1, lateralFriction=0.0)
         self._robot = make_robot(self._config, engine)
         self._obstacles = StandingObstacles(engine, world)
@@ -170,6 +172,7 @@ class BulletBody(Body):
         self._engine.changeDynamics(
             self._robot, -1, mass=physics.mass, localInertiaDiagonal=(physics.yaw_inertia,) * 3
         )
+        # The origin of the body is at the height of the axles.
         x, y, theta = scene.start
         self._engine.resetBasePositionAndOrientation(
             self._robot, (x, y, self._config.wheel_radius), turn_about_z(theta)
@@ -181,6 +184,7 @@ class BulletBody(Body):
     def _mark_goal(self, goal: Point) -> None:
         """Put a disc on the floor."""
         if self._goal is None:
+            # A disc that can only be seen is made once and then moved.
             disc = Shape(
                 pybullet.GEOM_CYLINDER, ORIGIN, GOAL_PAINT, radius=GOAL_RADIUS, length=0.01
             )
@@ -227,6 +231,7 @@ class BulletBody(Body):
     def feel(self) -> None:
         """Check whether the robot touches a standing obstacle: overlaps it, or is pushed by it."""
         numbers = self._obstacles.numbers
+        # A contact is remembered until the reset, so it is looked for once.
         if numbers and not self._touched:
             contacts = pybullet.getContactPoints(
                 bodyA=self._robot, physicsClientId=self._engine.number
@@ -255,6 +260,7 @@ class BulletBody(Body):
             self.place_movers(self._crowd)
 
         x, y, theta = self.truth.pose
+        # From behind the robot and above.
         view = pybullet.computeViewMatrixFromYawPitchRoll(
             cameraTargetPosition=(x, y, 0.0),
             distance=2.2,
@@ -273,6 +279,7 @@ class BulletBody(Body):
             shadow=1,
             renderer=pybullet.ER_TINY_RENDERER,
         )[2]
+        # The camera returns RGBA, pictures of envs are RGB.
         return np.ascontiguousarray(np.reshape(pixels, (height, width, 4))[:, :, :3], np.uint8)
 
     def close(self) -> None:
@@ -303,6 +310,7 @@ def make_shapes(engine: Engine, shapes: Sequence[Shape], *, visual: bool) -> int
     make = engine.createVisualShapeArray if visual else engine.createCollisionShapeArray
     frame = "visual" if visual else "collision"
 
+    # PyBullet wants a value of each kind for every shape, whether it uses it or not.
     number = make(
         shapeTypes=kinds,
         halfExtents=boxes,
@@ -356,6 +364,7 @@ def make_robot(config: RobotConfig, engine: Engine) -> int:
             ]
         visible += _lidar_and_wheels(config, chassis)
 
+        # The wheels are seen as cylinders, but touch the floor as spheres.
         feet, foot = place_feet(config)
         spheres = [Shape(pybullet.GEOM_SPHERE, (x, y, foot - radius), radius=foot) for x, y in feet]
         robot = engine.createMultiBody(
@@ -397,6 +406,7 @@ def place_feet(config: RobotConfig) -> tuple[list[Point], float]:
     feet = []
     for x, y in wheel_hubs(config.wheelbase / 2.0, config.wheel_separation / 2.0):
         places = [(k / FOOT_PLACES * x, k / FOOT_PLACES * y) for k in range(FOOT_PLACES, 0, -1)]
+        # The first place from the hub inwards that is within the footprint.
         fitting = (
             place
             for place in places
@@ -414,6 +424,7 @@ def write_prism(outline: Outline, chassis: Chassis) -> Iterator[str]:
     The file is deleted after the block.
     """
     count = len(outline)
+    # First the lower, then the upper corners, each counter-clockwise.
     corners = [(x, y, z) for z in (chassis.bottom, chassis.top) for x, y in outline]
     under = range(1, count + 1)  # corners count from 1
     sides = [(k, k % count + 1, k % count + 1 + count, k + count) for k in under]
@@ -487,6 +498,7 @@ class MovingObstacles:
             pybullet.GEOM_CYLINDER, radius=radius, length=MOVER_HEIGHT, rgbaColor=MOVER_PAINT
         )
 
+        # A body without mass is moved by its velocity alone, and nothing stops it.
         body = int(engine.createMultiBody(0.0, touchable, visible, BELOW))
         engine.changeDynamics(
             body,
@@ -500,6 +512,7 @@ class MovingObstacles:
     def place(self, crowd: Crowd, x: float, y: float, reach: float) -> None:
         """Put movers whose hulls are within reach of a place [m] where they are, others away."""
         distances = np.hypot(*(crowd.states[:, [X, Y]] - (x, y)).T)
+        # A robot may be touched within its reach, and by a mover's own radius.
         near = np.flatnonzero(distances < crowd.radii + reach).tolist()
         self.park(near)
         for number in near:
@@ -530,6 +543,7 @@ def list_compounds(world: World) -> list[list[Shape]]:
         for x, y, radius in world.circles.tolist()
     ]
 
+    # A segment is a thin box around its middle, turned along it.
     starts, ends = np.hsplit(world.segments, 2)
     middles = (starts + ends) / 2.0
     along = (ends - starts).T

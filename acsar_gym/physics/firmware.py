@@ -48,6 +48,7 @@ class Firmware:
         self._processing = config.firmware.processing_time
         self._timeout = config.firmware.command_timeout or math.inf
 
+        # A ring of angles, of which the oldest is a window behind the newest.
         window = round(config.encoder.window * config.firmware.loop_rate)
         self._angles: deque[Speeds] = deque(maxlen=window + 1)
         self._per_radian = config.encoder.counts_per_revolution / (2.0 * math.pi)
@@ -58,6 +59,7 @@ class Firmware:
     def reset(self, physics: Physics | None = None) -> None:
         """Reset to the state after power-up: nothing on the wire, set points and encoders zero."""
         physics = physics or self._configured
+        # Latency delays both directions, the reaction only commands.
         self._latency = physics.latency_loops * self._dt
         self._reaction = self._processing + physics.command_delay + self._latency
         self._feedback_every = physics.feedback_loops
@@ -136,6 +138,7 @@ class Firmware:
             speeds = self._encoders.to_wire(speeds)
         line = encode_line(*speeds, self._line_end)
 
+        # The line waits for the processing and for the line before it.
         start = max(self._send_free, self._loops * self._dt + self._processing)
         self._send_free = start + len(line) * self._byte_time
         self._sent.append((self._send_free + self._latency, line))

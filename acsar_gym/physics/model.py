@@ -117,8 +117,10 @@ def compute_physics(config: RobotConfig) -> Physics:
     dt = loop_period(config)
     left_radius, right_radius = config.wheel_radii
     factor = body.turn_factor
+    # Both as ratios of the same two lengths, in which the model's equations are written.
     across = config.wheel_separation / config.wheelbase
     motors: dict[str, float] = {}
+    # A lag becomes the share of the way to the set point in a firmware loop.
     for number, wheel in enumerate("abcd"):
         motor = config.motor.of_wheel(number)
         lag = motor.time_constant
@@ -220,15 +222,18 @@ def tyre_step(
     """
     a = physics.half_wheelbase
     b = physics.half_track
+    # By the time step: the solution is that of an implicit Euler step.
     inertia = physics.mass / dt
     yaw_inertia = physics.yaw_inertia / dt
     grip = physics.grip
     floor = physics.slip_speed * physics.slip_speed
+    # Speeds of the wheels' surfaces: a and d are on the right.
     rim_a = wheels[0] * physics.right_radius
     rim_b = wheels[1] * physics.left_radius
     rim_c = wheels[2] * physics.left_radius
     rim_d = wheels[3] * physics.right_radius
 
+    # The unknown velocity starts at the present velocity.
     nx = vx
     ny = vy
     nw = yaw_rate

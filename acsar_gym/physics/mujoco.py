@@ -96,6 +96,7 @@ class MujocoBody(Body):
     def reset(self, scene: Scene) -> None:
         """Put the robot at rest at the scene's start, with the scene's world, physics and goal."""
         super().reset(scene)
+        # Compiling takes a while: a model is kept if only numbers outside of it differ.
         if pick_body(self._physics) != self._compiled or scene.world is not self._world:
             self._compile(self._physics, scene.world)
         self._motors: Speeds = ZERO
@@ -104,7 +105,9 @@ class MujocoBody(Body):
         x, y, theta = scene.start
         pose = self._data.qpos
         pose[:3] = (x, y, self._rest[2])
+        # The pose at rest leans a little on its wheels, so it is turned, not replaced.
         mujoco.mju_mulQuat(pose[3:7], turn_about_z(theta), self._rest[3:])
+        # Without a goal its disc waits below the floor.
         self._data.mocap_pos[0] = (*scene.goal, 0.006) if scene.goal else (0.0, 0.0, -1.0)
         mujoco.mj_forward(self._model, self._data)
 
@@ -120,6 +123,7 @@ class MujocoBody(Body):
         self._compiled = pick_body(physics)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
+        # Places of the wheels' angles and rates in the state, which are read every loop.
         joints = [self._model.joint(f"{wheel}_joint") for wheel in WHEELS]
         self._angles = [int(joint.qposadr[0]) for joint in joints]
         self._rates = [int(joint.dofadr[0]) for joint in joints]
@@ -146,6 +150,7 @@ class MujocoBody(Body):
 
     def place_movers(self, crowd: Crowd) -> None:
         """Put the movers where they are. At their velocities they go on until the next tick."""
+        # The movers' joints were added last, two for each mover.
         count = 2 * len(crowd.states)
         self._data.qpos[-count:] = crowd.states[:, : Y + 1].ravel()
         self._data.qvel[-count:] = crowd.states[:, VX : VY + 1].ravel()
@@ -169,6 +174,7 @@ class MujocoBody(Body):
     @property
     def power(self) -> float:
         """Mechanical power that the motors give to the ground now [W]. See `model.motor_power`."""
+        # A wheel that the ground pushes brakes, and its motor recovers nothing.
         powers = -self._data.qfrc_constraint[self._rates] * self._data.qvel[self._rates]
         return float(np.maximum(powers, 0.0).sum())
 
@@ -178,6 +184,7 @@ class MujocoBody(Body):
         Raises:
             ConfigError: There is no OpenGL.
         """
+        # The same view as PyBullet's.
         camera = mujoco.MjvCamera()
         x, y, theta = self.truth.pose
         camera.lookat[:] = (x, y, 0.0)
@@ -187,6 +194,7 @@ class MujocoBody(Body):
 
         try:
             renderer = self._open_renderer(width, height)
+            # The pose may have been set since the last step.
             mujoco.mj_kinematics(self._model, self._data)
             renderer.update_scene(self._data, camera)
             picture: Image = renderer.render()
@@ -202,6 +210,7 @@ class MujocoBody(Body):
         if renderer is None or (renderer.width, renderer.height) != (width, height):
             self.close()
             prepare_opengl()
+            # MuJoCo draws off-screen only up to this size.
             self._model.vis.global_.offwidth = width
             self._model.vis.global_.offheight = height
             self._renderer = mujoco.Renderer(self._model, height, width)
@@ -240,6 +249,7 @@ def make_robot(config: RobotConfig, physics: Physics) -> Any:
     """
     spec = mujoco.MjSpec.from_file(str(URDF))
     spec.compiler.discardvisual = False
+    # Wheels and chassis get other sizes, and their inertia has to follow.
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = IMPEDANCE_RATIO
@@ -253,6 +263,7 @@ def make_robot(config: RobotConfig, physics: Physics) -> Any:
         rgba=FLOOR_COLOUR,
     )
     spec.body("base_footprint").add_freejoint()
+    # The goal's disc touches nothing.
     spec.worldbody.add_body(mocap=True).add_geom(
         type=SHAPE.mjGEOM_CYLINDER,
         size=(GOAL_RADIUS, 0.005, 0.0),
@@ -277,6 +288,7 @@ def make_robot(config: RobotConfig, physics: Physics) -> Any:
         geom = wheel.geoms[0]
         geom.size = (physics.right_radius if y < 0.0 else physics.left_radius, chassis.tyre / 2, 0)
         geom.mass = wheel.mass * heavier
+        # The coefficient that gives a wheel with a quarter of the weight this grip.
         geom.friction[0] = physics.grip * 4.0 / (physics.mass * model.GRAVITY)
         geom.contype = FLOOR
         geom.conaffinity = 0
@@ -295,6 +307,7 @@ def set_chassis(spec: Any, config: RobotConfig, chassis: Chassis, heavier: float
     box.mass = base.mass * heavier
     box.contype = box.conaffinity = 0
 
+    # The chassis is seen, the prism of the footprint touches.
     mesh = spec.add_mesh(name="footprint")
     corners = [(x, y, z) for z in (chassis.bottom, chassis.top) for x, y in config.outline]
     mesh.uservert = np.ravel(corners)
@@ -321,6 +334,7 @@ def add_motor(spec: Any, wheel: str, *, inertia: float) -> None:
     damping = inertia / SERVO_TIME
     target = {"target": joint.name, "trntype": mujoco.mjtTrn.mjTRN_JOINT}
     spec.add_actuator(**target).set_to_velocity(kv=damping)
+    # The integral part holds a speed against the ground's resistance.
     integral = spec.add_actuator(**target)
     integral.set_to_intvelocity(kp=damping / (4.0 * SERVO_TIME))
     integral.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE

@@ -210,6 +210,7 @@ class Randomization(Section):
         Raises:
             ConfigError: A name is unknown, or a range is malformed.
         """
+        # Users pass what is easiest: all of these forms are in specs and on the command line.
         if isinstance(ranges, Randomization):
             return ranges
         if ranges is True and config is not None:
@@ -264,6 +265,7 @@ class Randomization(Section):
 
     def _check_robot(self, config: RobotConfig, step: float) -> None:
         dt = loop_period(config)
+        # The config itself refuses rates that the wire or the time-out doesn't allow.
         for rate in self.feedback_rate or ():
             applied = 1.0 / (loops_between(rate, dt) * dt)
             try:
@@ -274,6 +276,7 @@ class Randomization(Section):
                 ) from error
 
         if self.turn_factor:
+            # A factor of 1 is a tyre without sideways friction, see LEAST_TURN.
             slowest = self.turn_factor[0] * turn_factor(config)
             if slowest <= 1.0:
                 raise ConfigError(
@@ -282,6 +285,7 @@ class Randomization(Section):
                 )
 
         if self.latency:
+            # The wire's own delay counts, because the latency is added to it.
             longest = wire_loops(config) * dt + self.latency[1]
             if longest > step - dt / 2.0:
                 raise ConfigError(
@@ -344,6 +348,7 @@ def measured_ranges(config: RobotConfig) -> Ranges:
     """
     ranges: Ranges = {}
     for name, row in TABLE.items():
+        # The first field that has an interval decides, such as a turn factor before a multiplier.
         candidates = (_list_ends(config, row, path) for path in row.measured)
         ends = next(filter(None, candidates), None)
         if ends:
@@ -357,12 +362,14 @@ def _list_ends(config: RobotConfig, row: Parameter, path: str) -> list[float]:
     """List the ends of the ranges of all wheels or of the robot, if it was measured."""
     value: Any = functools.reduce(getattr, path.split("."), config)
     value = turn_factor(config) if row.rule is TURN else value
+    # An interval may be of all wheels, or of each wheel under its letter.
     common = config.measured.get(path)
     wheels = WHEELS if row.per_wheel else WHEELS[:1]
     intervals = [config.measured.get(f"{path}.{wheel}", common) for wheel in wheels]
     ends: list[float] = []
     for wheel, interval in enumerate(intervals if any(intervals) else ()):
         number = value_of_wheel(value, wheel)
+        # A motor without lag has nothing that a factor could change.
         if number > 0.0 or row.rule is not LAG:
             ends += _follow(interval, row.rule, number) if interval else row.default or ()
     return ends
@@ -387,6 +394,7 @@ def choose_ranges(config: RobotConfig) -> Ranges:
     ranges: Ranges = {name: row.default for name, row in TABLE.items() if row.default}
     low, high = ranges["turn_factor"]
     ranges["turn_factor"] = (max(low, (1.0 + factor) / 2.0 / factor), high)  # stays above 1
+    # A measured delay contains the latency that the default range stands for.
     if "command_delay" in measured or "delay_samples" in measured:
         del ranges["latency"]
     return ranges | measured
@@ -403,6 +411,7 @@ def describe_ranges(config: RobotConfig) -> str:
         else f"{name} {ends[0]:.3g} to {ends[1]:.3g}"
         for name, ends in measured.items()
     ]
+    # What wasn't measured is named, because a policy may depend on it.
     defaults = [name for name in choose_ranges(config) if name not in measured]
     return f"randomized as measured: {', '.join(texts)}; by default widths: {', '.join(defaults)}"
 
@@ -417,10 +426,12 @@ def randomization_level(config: RobotConfig, number: int) -> Randomization:
     scale = LEVEL_WIDTHS[number]
     ranges = choose_ranges(config)
     for name, ends in ranges.items():
+        # Ranges widen around the number that changes nothing. Values without one stay.
         neutral = NEUTRAL[TABLE[name].rule]
         if name != "delay_samples" and not math.isnan(neutral):
             low, high = (neutral + scale * (end - neutral) for end in ends)
             ranges[name] = (max(low, MIN_LEVEL_FACTOR) if neutral else low, high)
+    # Twice the width may reach below a turn factor of 1, which no robot has.
     low, high = ranges["turn_factor"]
     ranges["turn_factor"] = (max(low, LEAST_TURN / turn_factor(config)), high)
     return Randomization.of(ranges)
@@ -483,6 +494,7 @@ def draw_robot(
     Returns:
         The physics, and the numbers that were drawn, as applied.
     """
+    # Samples of parameters that don't vary are zero and unused.
     drawn = low.copy()
     for k in range(len(drawn)):
         if high[k] > low[k]:
@@ -555,6 +567,7 @@ class Randomizer:
         info: dict[str, Any] = {}
         for name in self._names:
             if name not in self._unused:
+                # A number for the robot, or four for the wheels.
                 numbers = self._drawn[PLACES[name]]
                 info[f"drawn_{name}"] = numbers if TABLE[name].per_wheel else float(numbers[0])
         return info

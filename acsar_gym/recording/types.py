@@ -128,7 +128,7 @@ class Movers(NamedTuple):
     hits: Floats
     """(k,): who has run into whom until then, such as `worlds.crowd.ROBOT_HIT`."""
     intrusions: Floats
-    """(k,): how often the robot had entered somebody's personal space."""
+    """(k,): how often the robot had entered a person's personal space."""
     states: Floats
     """(k, movers, 5): x, y [m], their rates [m/s], and radius [m], in the frame of the world."""
 

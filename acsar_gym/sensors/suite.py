@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import AcsarError, ConfigError, show_value, suggest_name, translate_errors
+from acsar_gym.errors import AcsarError, ConfigError, TranslatedErrors, show_value, suggest_name
 from acsar_gym.lidar.factory import open_lidar
 from acsar_gym.links.base import Link
 from acsar_gym.odometry import Odometry
@@ -199,7 +199,7 @@ class Sensors(Sequence[Sensor]):
 
 def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
     """Turn errors that the sensor raises inside a block into an AcsarError with its name."""
-    return translate_errors(AcsarError, lambda: f"sensor {sensor.name!r}")
+    return TranslatedErrors(AcsarError, lambda: f"sensor {sensor.name!r}")
 
 
 def is_polled(sensor: Sensor) -> bool:
@@ -240,7 +240,7 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
         AcsarError: The factory raises an error.
     """
     # A factory may be any callable of the user.
-    with translate_errors(AcsarError, lambda: f"sensors: {show_value(factory)}"):
+    with TranslatedErrors(AcsarError, lambda: f"sensors: {show_value(factory)}"):
         sensor = factory(link, config) if callable(factory) else factory
     name = getattr(sensor, "name", None)
     if not isinstance(sensor, Sensor) or not isinstance(name, str) or not name.isidentifier():
@@ -252,7 +252,7 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
     if not isinstance(sensor, BUILT_IN.get(name, Sensor)):
         raise ConfigError(f"sensor {name!r}: that name is taken: rename yours")
 
-    with translate_errors(ConfigError, lambda: f"sensor {name!r}"):
+    with TranslatedErrors(ConfigError, lambda: f"sensor {name!r}"):
         low, high = sensor.bounds
         if sensor.size < 1 or not (low <= high).all():
             raise ConfigError(

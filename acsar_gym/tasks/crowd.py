@@ -1,7 +1,7 @@
 """Tasks among people: a hall that others walk through, and the moving obstacles of DynaBARN.
 
 They are tasks with a goal behind obstacles, see `navigation`, in worlds whose movers a robot sees
-with its LiDAR alone. Coming close to somebody costs reward, by what the robot observes of them.
+with its LiDAR alone. Coming close to a person costs reward, by what the robot observes of them.
 """
 
 from __future__ import annotations

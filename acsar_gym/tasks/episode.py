@@ -14,9 +14,9 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import (
     AcsarWarning,
     ConfigError,
+    TranslatedErrors,
     WorldError,
     show_value,
-    translate_errors,
 )
 from acsar_gym.jit import jit
 from acsar_gym.tasks.factory import task_name
@@ -148,6 +148,7 @@ class Spawn:
 
     def check_goal(self, goal: Goal) -> Goal:
         """Return a goal on an open floor [m]. ConfigError if it isn't within `goal_distance`."""
+        # A policy has seen no goals outside of these limits.
         nearest, farthest = self._task.goal_distance
         if not nearest <= math.hypot(*goal) <= farthest:
             raise ConfigError(
@@ -159,6 +160,7 @@ class Spawn:
 
 def _refuse_contradictions(options: Mapping[str, Any]) -> None:
     """Raise ConfigError if two options name the world or the path of the episode."""
+    # Each of these chooses what surrounds the robot.
     names = [name for name in ("path", "world", "difficulty") if options.get(name) is not None]
     if len(names) > 1:
         raise ConfigError(
@@ -344,17 +346,18 @@ class RunningEpisode:
         self.outcome = Outcome.GOING
         self._check = check or ObservationCheck(task)
         self._info_names = info_names(task)
+        self._user_errors = TranslatedErrors(ConfigError, lambda: task_name(task))
 
     def begin(self, state: State) -> None:
         """Begin the episode with the state after the reset. ConfigError as for `step`."""
         self.state = state
-        with self._translated_errors():
+        with self._user_errors:
             self.task.begin(state, self.memory)
 
     def step(self, state: State) -> tuple[float, Outcome]:
         """Return the reward and the outcome of the step that led to this state."""
         self.state = state
-        with self._translated_errors():
+        with self._user_errors:
             outcome = self.task.outcome(state, self.memory)
             # True and False aren't outcomes: True would be a success.
             if isinstance(outcome, bool | np.bool_) or outcome not in OUTCOMES:
@@ -369,8 +372,9 @@ class RunningEpisode:
 
     def observe(self, state: State) -> Observation:
         """Return the task's own part of the observation, (numbers,)."""
-        with self._translated_errors():
+        with self._user_errors:
             numbers = np.array(self.task.observe(state, self.memory), np.float32)
+        # Names of the observation and its numbers have to match.
         shape = (len(self.task.observation),)
         if numbers.shape != shape:
             problem = f"numbers of shape {numbers.shape}: must be {shape}, as `observation` has"
@@ -384,7 +388,7 @@ class RunningEpisode:
             return None
 
         # The method is the user's own, and gets the true pose if it is known.
-        with self._translated_errors():
+        with self._user_errors:
             way: Any = self.task.shortest_path(self.state._replace(pose=pose), self.memory)
             if way is None:
                 return None
@@ -399,13 +403,9 @@ class RunningEpisode:
     def info(self) -> dict[str, float]:
         """Return what the task adds to info. The keys are the same at every step."""
         memory = vars(self.memory)
-        with self._translated_errors():
+        with self._user_errors:
             numbers = {name: float(memory[name]) for name in self._info_names}
         return numbers | self.assignment.info
-
-    def _translated_errors(self) -> Any:
-        """Turn errors of the task's methods into ConfigError with its name."""
-        return translate_errors(ConfigError, lambda: task_name(self.task))
 
     def _error(self, method: str, problem: str) -> ConfigError:
         return ConfigError(f"{task_name(self.task)}.{method} returned {problem}")

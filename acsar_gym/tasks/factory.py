@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.errors import ConfigError, show_value, translate_errors
+from acsar_gym.errors import ConfigError, TranslatedErrors, show_value
 from acsar_gym.reading import import_object, object_name
 from acsar_gym.tasks.options import check_finite, check_names
 from acsar_gym.tasks.state import INFO_KEYS
@@ -45,10 +45,11 @@ def make_task(task: Any, options: Mapping[str, Any], others: Iterable[str] = ())
 def _make_instance(kind: type[Task], options: Mapping[str, Any], others: Iterable[str]) -> Task:
     """Call the class of a task with its options, and change its weights."""
     name = task_name(kind)
+    # The parameters of the class are the task's options, as its docstring describes them.
     names = ["weights", *inspect.signature(kind).parameters]
     check_names(f"unknown option {{}} of {name}", options, names, ["link", "robot", *others])
     fields = {key: _plain(value) for key, value in options.items() if key != "weights"}
-    with translate_errors(ConfigError, lambda: name):
+    with TranslatedErrors(ConfigError, lambda: name):
         try:
             task = kind(**fields)
         except TypeError as error:
@@ -84,7 +85,7 @@ def _check_class(task: Task) -> None:
     name = task_name(task)
 
     # What can't be converted fails here, before a robot is made.
-    with translate_errors(ConfigError, lambda: name):
+    with TranslatedErrors(ConfigError, lambda: name):
         new_memory(task)
         low, high = observation_bounds(task)
     if not (low <= high).all():
@@ -93,6 +94,7 @@ def _check_class(task: Task) -> None:
         if sensor not in task.sensors:
             raise ConfigError(f"{name}: sensors = {task.sensors!r}: must name {sensor!r}")
     check_names(f"{name}: told: no memory {{}}", info_names(task), task.memory)
+    # A task's number must not replace the robot's under the same key.
     for key in info_names(task):
         if key in INFO_KEYS or key.startswith("drawn_"):
             raise ConfigError(f"{name}: memory {key!r}: info has that already. Rename it")

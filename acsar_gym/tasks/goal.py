@@ -85,6 +85,7 @@ class GoalTask(Task):
         """Sum of the terms of `GoalWeights`. Remembers the distance to the goal."""
         weights = self.weights
         distance = goal_distance(state.pose, state.goal)
+        # Remembered before the memory changes: the change of distance is the progress.
         progress = memory.goal_distance - distance
         memory.goal_distance = distance
         backwards = min(state.action[0], 0.0)

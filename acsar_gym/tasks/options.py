@@ -39,6 +39,7 @@ class SharedOptions(Section):
     @field_validator("sensors")
     @classmethod
     def _is_list(cls, value: Any) -> Any:
+        # A text is a sequence as well, of letters.
         if isinstance(value, list | tuple):
             return value
         raise ValueError("must be a list, such as [ThreeRays]")

@@ -133,6 +133,7 @@ class PathFollow(Task):
         memory.mean_heading_error = memory.heading_sum / steps
 
         x, y, _ = state.pose
+        # Odometry decides, as on hardware.
         distance = math.sqrt((state.goal[0] - x) ** 2 + (state.goal[1] - y) ** 2)
 
         # A loop ends near its start: the rest of the path has to be short as well.
@@ -144,6 +145,7 @@ class PathFollow(Task):
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
         """Sum of the terms of `PathWeights`."""
         weights = self.weights
+        # In parts of what the top speed would cover in a step.
         progress = memory.gain / (state.max_twist[0] * state.period)
         cross_track = abs(memory.cross_track_error)
         backwards = min(state.action[0], 0.0)
@@ -250,6 +252,7 @@ def nearest_on_path(path: Floats, progress: float, pose: Pose) -> tuple[float, f
         beside_y = dy - share * along_y
         square = beside_x * beside_x + beside_y * beside_y
 
+        # On a tie the first piece stays, in Python as in compiled code.
         if square < least_square - TIE_DISTANCE:
             least_square = square
             nearest = k + share

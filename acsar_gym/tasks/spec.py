@@ -21,6 +21,7 @@ from acsar_gym.tasks.task import Task, observation_bounds
 
 def task_spaces(task: Task, sensors: Iterable[Sensor]) -> tuple[Box, Box]:
     """Make the action and the observation space of a task, for one robot."""
+    # The task's numbers come first, those of each sensor follow.
     bounds: list[Any] = [observation_bounds(task), *(sensor.bounds for sensor in sensors)]
     low, high = np.hstack(bounds).astype(np.float32)
     return Box(-1.0, 1.0, (2,), np.float32), Box(low, high, dtype=np.float32)
@@ -43,6 +44,7 @@ class PlainSpec:
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         if spec is not None:
+            # Gymnasium's own spec stays as it was made.
             spec = copy.copy(spec)
             spec.kwargs = to_plain(spec.kwargs)
             object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids

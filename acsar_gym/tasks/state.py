@@ -118,7 +118,7 @@ class CrowdInfo(NamedTuple):
     time_to_collision: float
     """Time until robot and a person would touch if all kept their velocities, at most 10 [s]."""
     intrusions: float
-    """How often the robot has come within 0.45 m of somebody in the episode."""
+    """How often the robot has come within 0.45 m of a person in the episode."""
     person_contact: float
     """0: none, 1: the robot ran into a person, 2: a person ran into the robot."""
 

@@ -254,7 +254,8 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         Waits for the threads of an interrupted call, because the state is written next.
         """
         self._threads.wait()
-        options = check_reset_options(options or {}, (MASK_OPTION, *self._spawn.options))
+        names = [name for name in self._spawn.options if name != "path"]  # a single env's
+        options = check_reset_options(options or {}, (MASK_OPTION, *names))
         chosen = {name: value for name, value in options.items() if name != MASK_OPTION}
         mask = options.get(MASK_OPTION)
         mask = np.ones(self.num_envs, np.bool_) if mask is None else np.array(mask, order="C")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.tasks.episode import Spawn
-from acsar_gym.tasks.options import SharedOptions, check_reset_options
+from acsar_gym.tasks.options import SharedOptions
 from acsar_gym.worlds.pool import Pool
 
 Array = NDArray[Any]
@@ -53,7 +53,6 @@ def check_seeds(seed: Any, robots: int) -> list[int | None] | None:
 
 def read_reset_options(spawn: Spawn, options: Mapping[str, Any], robots: int) -> ResetOptions:
     """Convert a reset's options "world", "difficulty" and "goal" to fields of the robots."""
-    options = check_reset_options(options, tuple(name for name in spawn.options if name != "path"))
     fields: ResetOptions = {}
     if options.get("goal") is not None:
         fields |= _read_goals(spawn, options["goal"], robots)

@@ -233,6 +233,7 @@ def look_at_mover(hall: Hall, states: Floats, m: int, robot: RobotMotion) -> Poi
     radius = hall.movers[m, RADIUS]
     dx = states[m, X] - robot.x
     dy = states[m, Y] - robot.y
+    # By circles first, because the exact hull takes longer.
     near = outer_radius(hall.around, hall.kind) + radius + PERSONAL_SPACE
     square = dx * dx + dy * dy
     if square > near * near:
@@ -258,6 +259,7 @@ def comes_nearer(ahead: float, aside: float, at_x: float, at_y: float, robot: Ro
         dx = ahead
         dy = aside
         distance = length_of(dx, dy) + 1e-12
+    # The velocity of this place of the hull, along the line to the mover.
     approach = (robot.forward - robot.rate * at_y) * dx + robot.rate * at_x * dy
     return approach > STANDING_SPEED * distance
 
@@ -268,6 +270,7 @@ def comes_nearer(ahead: float, aside: float, at_x: float, at_y: float, robot: Ro
 @subroutine
 def walk_crowd(hall: Hall, states: Floats, tick: int, robot: RobotMotion) -> None:
     """Let people who react walk for a tick, and decide how every REACTION_TIME."""
+    # Decisions take most of the time, and people don't decide a hundred times a second.
     interval = max(int(np.floor(REACTION_TIME / hall.period + 0.5)), 1)
     if (tick - 1) % interval == 0:
         place_crowd(hall, states, tick * hall.period)
@@ -456,6 +459,7 @@ def push_from_wall(dx: float, dy: float, reach: float) -> Point:
 def walk_on(hall: Hall, states: Floats, m: int) -> None:
     """Let person m, who reacts, walk for a tick as decided."""
     period = hall.period
+    # As for a body with a mass: acceleration, velocity, place.
     vx, vy = limit_length(
         states[m, VX] + states[m, AX] * period,
         states[m, VY] + states[m, AY] * period,
@@ -490,6 +494,7 @@ def survey_crowd(hall: Hall, states: Floats, robot: RobotMotion) -> Point:
 
         dx = states[m, X] - robot.x
         dy = states[m, Y] - robot.y
+        # Only a mover that may be nearer than the nearest so far is measured exactly.
         reach = nearest + outer + radius
         if dx * dx + dy * dy < reach * reach:
             ahead, aside = turn_back(dx, dy, robot.cos, robot.sin)

@@ -165,6 +165,7 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
     start, goal = _choose_ends(placement, *barn_ends)
     way = None
     if is_barn and not (placement.start or placement.goal):
+        # The published path leads from BARN's own start to its own goal.
         way = _read_barn_path(path)
     return World(circles, segments, start, goal, path=way, name=path.stem)
 
@@ -173,6 +174,7 @@ def _choose_ends(
     placement: Placement, start: Region | None, goal: Region | None
 ) -> tuple[Region, Region]:
     """The start and the goal of a placement, or else of a file, or a WorldError."""
+    # What is given with the file wins over the file.
     start = placement.start or start
     goal = placement.goal or goal
     if start and goal:
@@ -196,6 +198,7 @@ def _is_barn(circles: Floats) -> bool:
 
 def _read_barn_path(path: Path) -> Floats | None:
     """The path from start to goal of a published world, from its cells (row, column)."""
+    # The path's file has the world's number, and lies in one of these folders.
     name = f"path_{path.stem.removeprefix('world_')}.npy"
     folders = (path.parent, path.parent / "path_files", path.parent.parent / "path_files")
     for file in (folder / name for folder in folders):
@@ -282,6 +285,7 @@ def format_world(world: World, suffix: str) -> bytes:
         lines = [f"  {json.dumps(key)}: {_format_json(value)}" for key, value in fields.items()]
         text = "{\n" + ",\n".join(lines) + "\n}\n"
     else:
+        # The dumper in C is much faster, if libyaml is installed.
         dumper = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
         text = yaml.dump(fields, Dumper=dumper, default_flow_style=None, sort_keys=False, width=200)
     return text.encode()
@@ -302,6 +306,7 @@ def _parse_world(data: object, path: Path, placement: Placement) -> World:
     """Make a world of the content of a JSON or YAML file."""
     if not isinstance(data, dict):
         raise WorldError(f"must be a mapping with {', '.join(WorldFile.model_fields)}")
+    # A map's YAML has keys of its own, which `maps` checks.
     is_map = "image" in data
     fields = {key: data[key] for key in data if key in WorldFile.model_fields or not is_map}
     try:

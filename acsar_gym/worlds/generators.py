@@ -164,6 +164,7 @@ def difficulty_limits(difficulty: Level) -> tuple[float, float]:
 
 def make_open_floor(rng: Rng, difficulty: float, radius: float) -> World:
     """Make an empty floor. Goals are 1 to 2 m away, or up to 5 m at difficulty 1."""
+    # The robot starts at the origin, heading along x.
     distance = rng.uniform(1.0, 2.0 + 3.0 * difficulty)
     bearing = rng.uniform(-math.pi, math.pi)
     return World(goal=Region(distance * math.cos(bearing), distance * math.sin(bearing)))
@@ -176,6 +177,7 @@ def make_clutter(rng: Rng, difficulty: float, radius: float) -> World:
     """
     count = round(10 + 35 * difficulty)
     cylinders = int(rng.binomial(count, 0.6))
+    # Cylinders come first among the places, boxes take the rest.
     places = rng.uniform(-ARENA_HALF, ARENA_HALF, (count, 2))
     circles = np.column_stack([places[:cylinders], rng.uniform(0.08, 0.3, cylinders)])
     segments = [make_rectangle(-ARENA_HALF, -ARENA_HALF, ARENA_HALF, ARENA_HALF)]
@@ -218,7 +220,7 @@ def make_waypoint_path(rng: Rng, difficulty: float, radius: float) -> World:
     pieces = int(rng.integers(3, 7))
     sharpest = math.radians(45.0 + 75.0 * difficulty)
     turns = rng.uniform(-sharpest, sharpest, pieces)
-    turns[0] = 0.0
+    turns[0] = 0.0  # along x, the direction of the start
     return _follow_steps(np.cumsum(turns), rng.uniform(0.8, 2.0, pieces))
 
 
@@ -286,6 +288,7 @@ def _furnish_room(
     segments: list[Floats],
 ) -> None:
     """Add a room's furniture to the circles and segments of its world."""
+    # All numbers are drawn before they are used, a fixed count for a piece.
     pieces = int(rng.binomial(4, difficulty))
     places = rng.uniform(room[0] + 0.45, room[1] - 0.45, (pieces, 2)).tolist()
     as_box = rng.random(pieces) < 0.5
@@ -322,6 +325,7 @@ def make_barn(rng: Rng, difficulty: float, radius: float) -> World:
             f"world: it is too large for BARN's fields: at most {BARN_LARGEST_RADIUS:g} m"
         )
 
+    # BARN's generator has these parameters: the share of filled cells, and rounds of smoothing.
     fill = 0.15 + 0.05 * min(int(4.0 * difficulty), 3)
     passes = int(rng.integers(2, 5))
     is_larger = radius > BARN_ROBOT_RADIUS

@@ -120,6 +120,7 @@ def surround_kinds(
     kinds = []
     sides = []
     for spec, config in zip(specs, configs, strict=True):
+        # Compiled loops take a kind without a LiDAR as a kind with no rays.
         rays = spec or RaySpec(0, reach=1.0)
         angles = rays.angles()
         directions.append(np.column_stack([np.cos(angles), np.sin(angles)]))
@@ -188,6 +189,7 @@ def share_along(x: float, y: float, line: Line) -> float:
     """Where a segment is nearest to a point: 0 at a, 1 at b."""
     ex = line[BX] - line[AX]
     ey = line[BY] - line[AY]
+    # The tiny number makes a segment without length its own nearest point.
     share = ((x - line[AX]) * ex + (y - line[AY]) * ey) / (ex * ex + ey * ey + 1e-300)
     return min(max(share, 0.0), 1.0)
 
@@ -196,6 +198,7 @@ def share_along(x: float, y: float, line: Line) -> float:
 def distance_to_segment(x: float, y: float, line: Line) -> float:
     """Distance of a point from a segment [m]."""
     share = share_along(x, y, line)
+    # At the end b the place is exact, which a sum of two products isn't.
     if share == 1.0:
         return length_of(x - line[BX], y - line[BY])
     dx, dy = offset_from(x, y, line, share)
@@ -240,6 +243,7 @@ def side_of(line: Line, x: float, y: float) -> float:
 @jit
 def widest_angle(width: float, distance: float) -> float:
     """An angle [rad], a little more than asin(width / distance), or half a turn from inside."""
+    # A polynomial that is never below the arcsine, and faster.
     share = width / (distance + 1e-300)
     if share >= 1.0:
         return 0.5 * FULL_TURN
@@ -268,6 +272,7 @@ def see_circle(
     turn = FULL_TURN * fan.density
     for shift in (-turn, 0.0, turn):
         for k in rays_between(middle + shift - half, middle + shift + half, len(ranges)):
+            # The ray's distance from the middle by Pythagoras: along it, and across.
             dx = x - origins[k, X]
             dy = y - origins[k, Y]
             outside = dx * dx + dy * dy - radius * radius
@@ -301,6 +306,7 @@ def see_segment(ranges: Floats, line: Line, origins: Floats, margin: float, fan:
     last = min(max(end, end + width) + extra, first + turn)
     for shift in (-turn, 0.0, turn):
         for k in rays_between(first + shift, last + shift, len(ranges)):
+            # Rays parallel to the segment meet it nowhere, or in a single point.
             across = directions[k, X] * ey - directions[k, Y] * ex
             if abs(across) > 1e-12:
                 from_x = ax - origins[k, X]
@@ -350,6 +356,7 @@ def cast_lines(  # noqa: PLR0913, PLR0917 - a tuple of the pose would be built f
     # From the base to the LiDAR, in which all that follows is measured.
     x += cos * robot[MOUNT_X] - sin * robot[MOUNT_Y]
     y += sin * robot[MOUNT_X] + cos * robot[MOUNT_Y]
+    # How far the LiDAR moved during the revolution.
     margin = 0.0
     for k in range(len(ranges)):
         margin = max(margin, origins[k, X] ** 2 + origins[k, Y] ** 2)
@@ -513,6 +520,7 @@ def segment_meets_footprint(line: Line, around: Surroundings, kind: int) -> bool
     three-dimensional clipping", Computers & Graphics 3 (1978).
     """
     ax, ay, bx, by = line
+    # The part of the segment that is inside of all half planes so far, by its shares.
     enter = 0.0
     leave = 1.0
     for side in around.sides[kind, : int(around.kinds[kind, SIDE_COUNT])]:

@@ -55,6 +55,7 @@ def read_settings(data: Mapping[str, Any]) -> MapSettings:
     """Read the settings in a map's YAML. Refuses keys that look misspelt."""
     fields = MapSettings.model_fields
     for key in data:
+        # A map may have other keys, so only those that look misspelt are refused.
         similar = difflib.get_close_matches(key[:40], fields, n=1, cutoff=0.8)
         if similar and key not in fields:
             raise WorldError(f"unknown key {show_value(key)}; did you mean {similar[0]!r}?")
@@ -95,6 +96,7 @@ def occupied_shades(shades: Floats, config: MapSettings) -> Mask:
     if config.mode == "raw":
         percent = np.round(shades * 255.0)
         return (percent > 100.0 * config.occupied_thresh) & (percent <= 100.0)
+    # Occupancy is darkness, as map_server defines it.
     bright = 1.0 - shades if config.negate else shades
     return 1.0 - bright > config.occupied_thresh
 

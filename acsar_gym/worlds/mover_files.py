@@ -54,9 +54,11 @@ class MoverFile(Section):
         Raises:
             WorldError: The fields contradict each other, or can't be used.
         """
+        # Fields that are left out have the defaults of the function that makes the mover.
         options = self.model_dump(exclude_none=True)
         if self.repeat is not None:
             options["repeat"] = Repeat[self.repeat.upper()]
+        # Which form it is follows from the fields. Other combinations contradict each other.
         motion = options.keys() & MOTION_FIELDS
         for maker, needed, optional in FORMS:
             if needed <= motion <= needed | optional:

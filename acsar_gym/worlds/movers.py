@@ -98,6 +98,7 @@ class Mover:
         """What can't be used, in words, or empty if everything can."""
         if self.pieces.shape[1:] != (PIECE_NUMBERS,) or not np.isfinite(self.pieces).all():
             return f"pieces must be rows of {PIECE_NUMBERS} finite numbers"
+        # In this order, because the later checks need what the earlier ones make sure.
         numbers = _to_floats([self.duration, self.radius, self.phase, self.spread])
         if not np.isfinite(numbers).all() or self.radius <= 0.0 or self.spread < 0.0:
             return "duration and phase must be finite numbers, radius above 0, spread not negative"
@@ -133,6 +134,7 @@ class Mover:
         _, x1, x2, x3 = self._coefficients
         with np.errstate(over="ignore", invalid="ignore"):
             bend = 6.0 * np.hypot(*x3.T) * (self._lengths[:, 0] / SPEED_SAMPLES) ** 2 / 8.0
+            # Times in each piece, (samples, pieces, 1).
             s = np.linspace(0.0, 1.0, SPEED_SAMPLES + 1)[:, None, None] * self._lengths
             speeds = np.hypot(*(x1 + 2.0 * s * x2 + 3.0 * s**2 * x3).T)
             return float((speeds.max(axis=1) + bend).max())
@@ -146,6 +148,7 @@ class Mover:
             q = -x2 - np.copysign(np.sqrt(np.maximum(x2**2 - 3.0 * x1 * x3, 0.0)), x2)
             turns = np.nan_to_num([q / (3.0 * x3), x1 / q])
         ends = np.zeros_like(x0)
+        # Turns outside of a piece count as its ends.
         times = np.clip([ends, ends + self._lengths, *turns], 0.0, self._lengths)
         places = x0 + times * (x1 + times * (x2 + times * x3))
         min_x, min_y = (places.min(axis=(0, 1)) - self.radius).tolist()
@@ -268,6 +271,7 @@ def follow_keys(
     key_times = _to_floats(times).ravel()
     places = _to_floats(points)
     lengths = np.diff(key_times)[:, None]
+    # A growing series of times has positive steps only.
     is_growing = len(lengths) > 0 and key_times[0] >= 0.0 and bool((lengths > 0.0).all())
     if not is_growing or places.shape != (len(key_times), 2):
         raise WorldError(
@@ -352,6 +356,7 @@ def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
     for movers in crowds:
         first = 0
         for mover in movers:
+            # Pieces of all movers of a world lie one behind the other.
             count = len(mover.pieces)
             rows.append(
                 [  # in the order of the columns
@@ -397,6 +402,7 @@ def locate_mover(mover: Floats, pieces: Floats, clock: float) -> Quad:
     Returns:
         Place x, y [m] and its rates [m/s], in the frame of the world.
     """
+    # On the way back the motion is the same, but its velocity is the opposite.
     number, s, direction = find_piece(mover, pieces, clock)
     x, vx = _evaluate(pieces[number], X0, s)
     y, vy = _evaluate(pieces[number], Y0, s)
@@ -428,6 +434,7 @@ def find_piece(mover: Floats, pieces: Floats, clock: float) -> tuple[int, float,
         direction = 1.0 if 0.0 <= clock < duration else 0.0
         clock = min(max(clock, 0.0), duration)
 
+    # Bisect for the last piece that has begun.
     low = int(mover[FIRST])
     high = low + int(mover[COUNT]) - 1
     while low < high:
@@ -447,6 +454,7 @@ def goes_straight(mover: Floats, pieces: Floats, clock: float, ago: float) -> bo
         if pieces[number, k] != 0.0:
             return False
 
+    # Towards the end of a piece counts backwards on the way back.
     is_last = number + 1 == int(mover[FIRST] + mover[COUNT])
     end = mover[DURATION] if is_last else pieces[number + 1, BEGIN]
     since = s if direction > 0.0 else end - pieces[number, BEGIN] - s

@@ -164,6 +164,7 @@ def _make_hall(rng: Rng, difficulty: float, radius: float, reacting: float) -> W
 
 def draw_corridor(rng: Rng, radius: float) -> HallLayout:
     """Draw a corridor of 9 to 12 m along x, through which the robot goes from end to end."""
+    # Long enough to meet people, wide enough to pass them.
     length = rng.uniform(9.0, 12.0)
     half = rng.uniform(1.2, 1.8)
     return HallLayout(
@@ -238,6 +239,7 @@ def draw_doors(rng: Rng, radius: float) -> HallLayout:
 
 def draw_open_hall(rng: Rng, radius: float) -> HallLayout:
     """Draw a floor of 7 to 10 m, which people cross in all directions."""
+    # Nine fields of which people use all but the middle one.
     width, height = rng.uniform(7.0, 10.0, 2).tolist()
     dx = width / 3.0
     dy = height / 3.0
@@ -418,6 +420,7 @@ def draw_polynomial(rng: Rng, order: int) -> Floats:
     """
     half = int(DYNABARN_HALF)
     at = rng.choice(np.arange(-half, half + 1), order + 1, replace=False)
+    # As many points as the order has coefficients, so the curve goes through all.
     curve = np.polynomial.Polynomial.fit(at, rng.integers(-half, half + 1, order + 1), order)
 
     # The curve ends where it leaves the field, so these points are among its keys.

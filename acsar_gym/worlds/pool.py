@@ -46,6 +46,7 @@ class Pool:
             replace(group, worlds=tuple(check_world(world, radius) for world in group.worlds))
             for group in sets
         )
+        # A cache of each pool's own, so that a pool that goes frees its worlds.
         self._make = lru_cache(KEPT_WORLDS)(partial(_make_world, radius))
 
     @classmethod
@@ -102,6 +103,7 @@ class Pool:
     @property
     def split(self) -> str:
         """The split that all worlds belong to, such as "test", or empty if there is none."""
+        # Worlds of several splits, or of none, belong to no split.
         splits = {group.split for group in self.sets}
         return splits.pop() if len(splits) == 1 else ""
 
@@ -124,11 +126,13 @@ class Pool:
         """Places of the worlds from the easiest to the hardest, and their difficulties."""
         if not self.generated:
             raise WorldError(f"difficulty: only generated worlds have one, not all of {self}")
+        # Every number's difficulty has to be drawn.
         if len(self) > MAX_RANKED:
             raise WorldError(
                 f"difficulty: {len(self):,} worlds, at most {MAX_RANKED:,} can be ordered"
             )
 
+        # Difficulties are drawn first in each world, so no world has to be made.
         levels = np.array(
             [
                 generators.draw_difficulty(group.kind, number, group.difficulty)

@@ -76,6 +76,7 @@ def register(name: str, make: Maker) -> None:
         >>> from acsar_gym.worlds import World, register
         >>> register("empty_floors", lambda rng, difficulty, footprint_radius: World())
     """
+    # The name is part of names like "mine:0-99", so it can't have other characters.
     form = rf"[a-z][a-z0-9_]{{0,{MAX_GENERATOR_NAME - 1}}}"
     if not isinstance(name, str) or not re.fullmatch(form, name):
         raise ConfigError(
@@ -90,6 +91,7 @@ def register(name: str, make: Maker) -> None:
             "make(rng, difficulty, footprint_radius)"
         ) from error
 
+    # A module may be imported again, as notebooks do, but not replace another's generator.
     owner = "acsar_gym" if name in BUILT_IN_KINDS else home_module(name)
     if owner not in ("", make.__module__):
         raise ConfigError(f"register({name!r}): {owner} has a generator of this name; use another")
@@ -151,6 +153,7 @@ class WorldsName(NamedTuple):
 
 def parse_name(text: str) -> WorldsName | None:
     """Split a name into its parts, without importing anything, or None for another form of text."""
+    # "barn:tets" has the form of a module and a generator, but is a misspelt split of BARN.
     match = _NAME.fullmatch(text)
     if match is None or match["module"] in BUILT_IN_KINDS:
         return None

@@ -60,6 +60,7 @@ def read_obstacles(data: bytes, height: float = LIDAR_HEIGHT) -> tuple[Floats, F
     world = worlds[0]
     _check_elements(world)
 
+    # Of Gazebo classic: where models were when the world was saved.
     states = {state.get("name"): state for state in world.iterfind("state/model")}
     circles = [np.zeros((0, 3))]
     segments = [np.zeros((0, 4))]
@@ -89,6 +90,7 @@ def _parse_xml(data: bytes) -> Element:
 
 def _check_elements(world: Element) -> None:
     """WorldError that names the elements of FOREIGN_PATHS, but for Gazebo's default plugins."""
+    # Gazebo saves some plugins that do nothing under this name.
     names = [
         f"{path} {show_value(element.get('name') or element.findtext('uri', ''))}"
         for path in FOREIGN_PATHS

@@ -83,6 +83,7 @@ def shortest_path(
     goal = goal or world.goal
     check_region(world, "start", start, radius)
     check_region(world, "goal", goal, radius)
+    # If nothing is in between, the straight line is the path.
     ends = np.array([[start.x, start.y], [goal.x, goal.y]])
     if segment_clearance(ends[:1], ends[1:], world)[0] >= radius:
         return ends
@@ -131,6 +132,7 @@ def remaining_distance(world: World, radius: float, place: Region, goal: Region)
         The length, inf if there is no path.
     """
     ends = np.array([[place.x, place.y], [goal.x, goal.y]])
+    # A robot that has collided is nearer to an obstacle than its radius: take what fits.
     fitting = min(radius, *(point_clearance(ends, world) - PATH_SLACK).tolist())
     try:
         return path_length(shortest_path(world, max(fitting, 0.0), place, goal))
@@ -150,6 +152,7 @@ def _search_path(world: World, radius: float, ends: Floats) -> Floats | None:
     contain a shorter path: all paths of length L between ends D apart lie within
     sqrt(L^2 - D^2) / 2 of the box around the ends.
     """
+    # Farther than this from the ends there is nothing to search.
     box = bounds_with(world, ends)
     farthest = max(*(ends.min(axis=0) - box[0]), *(box[1] - ends.max(axis=0)))
     distance = math.dist(*ends)
@@ -158,6 +161,7 @@ def _search_path(world: World, radius: float, ends: Floats) -> Floats | None:
 
     while True:
         grid = free_cells(world, radius, ends, reach)
+        # Ends of a path lie anywhere in their cells.
         first, last = (_entry_cell(grid, end, world, radius) for end in ends)
         way = search_cells(grid, first, last)
         path = None
@@ -196,6 +200,7 @@ def _entry_cell(grid: Grid, end: Floats, world: World, radius: float) -> int:
 
 def _cut_corners(path: Floats, world: World, radius: float) -> Floats:
     """Cut off the corners of a path as far as obstacles allow it."""
+    # Vectors from each corner to the points before and behind it.
     corners = path[1:-1]
     ahead = path[:-2] - corners
     behind = path[2:] - corners
@@ -222,6 +227,7 @@ def _find_corners(path: Floats, circles: Floats, segments: Floats, radius: float
     while corners[-1] < len(path) - 1:
         start = path[corners[-1]]
         farthest = corners[-1] + 1
+        # As far as a straight line is free. Behind the first obstacle it isn't looked further.
         for end in path[farthest + 1 :]:
             line = (start[X], start[Y], end[X], end[Y])
             if not is_free(line, circles, segments, radius):
@@ -268,9 +274,11 @@ def sample_path(path: Floats, spacing: float = PATH_SPACING) -> Floats:
     path = drop_repeated(path)
     steps = np.diff(path, axis=0)
     lengths = np.hypot(*steps.T)
+    # Distances of the path's points from its start.
     marks = np.concatenate([[0.0], np.cumsum(lengths)])
     count = max(2, 1 + math.ceil(marks[-1] / spacing - 1e-9))
     s = np.linspace(0.0, marks[-1], count)
+    # Each sample lies on the line that starts at or before it.
     piece = np.clip(np.searchsorted(marks, s, side="right") - 1, 0, len(steps) - 1)
     share = (s - marks[piece]) / lengths[piece]
     points = path[piece] + share[:, None] * steps[piece]

@@ -119,6 +119,7 @@ def parse_sets(
 
     A list of World is one set.
     """
+    # A list of World is numbered through, other lists are sets next to each other.
     items: list[Any] = list(source) if isinstance(source, list | tuple) else [source]
     if items and all(isinstance(world, World) for world in items):
         return [WorldSet("given", range(len(items)), worlds=tuple(items))]
@@ -143,6 +144,7 @@ def _parse_numbers(text: str, kind: str, numbers: str) -> range:
     if numbers in registry.SPLITS:
         return registry.split_numbers(kind, numbers)
 
+    # "50" are the first 50, "50-99" those with these numbers.
     first, _, last = numbers.partition("-")
     parsed = range(int(first), int(last) + 1) if last else range(int(first))
     if not 1 <= len(parsed) <= MAX_NUMBERS:
@@ -152,6 +154,7 @@ def _parse_numbers(text: str, kind: str, numbers: str) -> range:
 
 def _check_difficulty(difficulty: Level) -> Level:
     """A difficulty as plain numbers. Raises WorldError if it isn't from 0 to 1."""
+    # Plain floats, so that equal sets are equal, and JSON takes them.
     low, high = generators.difficulty_limits(difficulty)
     if difficulty is None:
         return None

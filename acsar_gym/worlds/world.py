@@ -44,6 +44,7 @@ class Region:
     """Heading of a start [rad]. None is any. A goal has none."""
 
     def __post_init__(self) -> None:
+        # Region is made of what users write, so anything may come.
         numbers = (self.x, self.y, self.radius, 0.0 if self.theta is None else self.theta)
         try:
             sound = all(
@@ -120,6 +121,7 @@ class World:
 
         People who react may leave their motions, and so these bounds.
         """
+        # Boxes are pairs of corners, which `_bound` takes as points.
         boxes = np.array([self.standing_bounds, *(mover.bounds for mover in self.movers)])
         return _bound(boxes.reshape(-1, 2))
 
@@ -148,10 +150,13 @@ def _validate_rows(name: str, rows: Floats | Sequence[Any], width: int) -> Float
         array = np.full(1, np.nan) if np.iscomplexobj(rows) else np.array(rows, np.float64)
     except (TypeError, ValueError, OverflowError):
         array = np.full(1, np.nan)
+
+    # An empty list has no width of its own.
     if array.size == 0:
         array = np.zeros((0, width))
     if array.ndim != 2 or array.shape[1] != width:
         raise WorldError(f"{name}: must be rows of {width} numbers, have shape {array.shape}")
+
     if len(array) > MAX_OBSTACLES:
         raise WorldError(f"{name}: {len(array):,} are too many, at most {MAX_OBSTACLES:,}")
     if not (np.abs(array) <= MAX_COORDINATE).all():
@@ -188,6 +193,7 @@ def make_wall(start: tuple[float, float], end: tuple[float, float], doors: Float
     edges = np.clip(np.concatenate([[0.0], np.ravel(doors), [length]]), 0.0, length)
     pieces = edges.reshape(-1, 2)
     pieces = pieces[pieces[:, 1] > pieces[:, 0]]
+    # Back from distances along the wall to places.
     along = (np.array(end) - start) / length
     ends: Floats = (np.array(start) + pieces.reshape(-1, 1) * along).reshape(-1, 4)
     return ends

@@ -7,7 +7,6 @@ import hashlib
 import math
 import pickle
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -66,26 +65,22 @@ def test_reset_that_is_refused_stops_the_wheels(make: Any) -> None:
     env.reset()
 
 
-COPIES: dict[str, Callable[[Any], Any]] = {
-    "deepcopy": copy.deepcopy,
-    "pickle": lambda env: pickle.loads(pickle.dumps(env)),  # noqa: S301 - our own bytes
-}
-SCENES: list[tuple[str, str, dict[str, Any]]] = [
-    (POINT_GOAL, "bullet", {}),
-    (OBSTACLE_GOAL, "planar", {"worlds": HALL}),
-]
+def unpickle(env: Any) -> Any:
+    return pickle.loads(pickle.dumps(env))  # noqa: S301 - our own bytes
 
 
-@pytest.mark.parametrize("how", COPIES)
-@pytest.mark.parametrize(("env_id", "link", "options"), SCENES, ids=["bullet", "movers"])
+@pytest.mark.parametrize(
+    ("copy_env", "link", "options"),
+    [(copy.deepcopy, "bullet", {}), (unpickle, "planar", {"worlds": HALL})],
+)
 def test_copy_in_mid_episode_is_an_env_of_its_own(
-    how: str, env_id: str, link: str, options: dict[str, Any], make: Any
+    copy_env: Any, link: str, options: dict[str, Any], make: Any
 ) -> None:
-    env = make(env_id, link, **options).unwrapped
+    env = make(OBSTACLE_GOAL, link, **options).unwrapped
     env.reset(seed=3)
     env.step(AHEAD)
     pose = env.robot.odometry.pose
-    copied = COPIES[how](env)
+    copied = copy_env(env)
     with pytest.raises(ConfigError, match=r"step\(\) before reset\(\)"):
         copied.step(ARC)
     with pytest.raises(ConfigError, match=r"before reset\(\)"):
@@ -98,13 +93,10 @@ def test_copy_in_mid_episode_is_an_env_of_its_own(
     assert episodes[0] == episodes[1]
 
 
-MISSING: list[tuple[str, dict[str, Any], str]] = [
-    ("pybullet", {}, "bullet"),  # the default link
-    ("mcap", {"link": "planar", "record": "drive.mcap"}, "record"),
-]
-
-
-@pytest.mark.parametrize(("module", "options", "extra"), MISSING)
+@pytest.mark.parametrize(
+    ("module", "options", "extra"),
+    [("pybullet", {}, "bullet"), ("mcap", {"link": "planar", "record": "drive.mcap"}, "record")],
+)
 def test_make_without_its_extra_is_one_line(
     module: str, options: dict[str, Any], extra: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

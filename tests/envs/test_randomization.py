@@ -15,8 +15,7 @@ POINT_GOAL = "acsar_gym/PointGoal-v0"
 def draw_episodes(make: Any, link: Any, **options: Any) -> list[dict[str, list[float]]]:
     """What three episodes of one seed have drawn."""
     env = make(POINT_GOAL, link, randomization=RANGES, **options)
-    infos = [env.reset(seed=3)[1], env.reset()[1], env.reset()[1]]
-    env.close()
+    infos = [env.reset(seed=seed)[1] for seed in (3, None, None)]
     return [
         {key: np.ravel(info[key]).tolist() for key in info if key.startswith("drawn_")}
         for info in infos

@@ -30,15 +30,8 @@ def make_planar(**options: Any) -> Env:
     return gymnasium.make(POINT_GOAL, link="planar", **options)
 
 
-def make_of_spec() -> Env:
-    spec = make_planar(max_episode_steps=5).spec
-    assert spec is not None
-    return gymnasium.make(spec)
-
-
 LIMITED: dict[str, tuple[Callable[[], Env], int]] = {
     "of the id": (make_planar, 200),
-    "spec": (make_of_spec, 5),
     "the env's own": (lambda: point_goal(max_episode_steps=np.int64(5)), 5),
     "the shorter of two": (lambda: TimeLimit(ClipAction(point_goal(max_episode_steps=7)), 5), 5),
 }
@@ -90,35 +83,26 @@ def test_env_without_references_stops_at_once() -> None:
 
 
 class Broken:
-    """An action that can't be converted."""
-
-    def __init__(self, error: BaseException) -> None:
-        self._error = error
+    """An action at which Ctrl-C comes."""
 
     def __array__(self, *_: Any, **__: Any) -> Any:
-        raise self._error
+        raise KeyboardInterrupt
 
 
-UNREADABLE: dict[str, Any] = {
-    "NaN": [np.nan, 0.0],
-    "three numbers": [0.5, 0.5, 0.5],
-    "texts": ["0.5", "0.5"],
-    "raises ValueError": Broken(ValueError("no\nlines")),
-    "raises KeyboardInterrupt": Broken(KeyboardInterrupt()),
-}
+REFUSED = "^action = .*: must be two finite numbers"
 
 
-@pytest.mark.parametrize("action", UNREADABLE)
-def test_action_that_cannot_be_read_stops_the_wheels(action: str, make: Any) -> None:
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [([np.nan, 0.0], REFUSED), ([0.5] * 3, REFUSED), (["a\nb", "0.5"], REFUSED), (Broken(), "^$")],
+)
+def test_action_that_cannot_be_read_stops_the_wheels(action: Any, message: str, make: Any) -> None:
     env = make()
     env.reset(seed=0)
     env.step([1.0, 0.0])
-    with pytest.raises((CommandError, KeyboardInterrupt)) as caught:
-        env.step(UNREADABLE[action])
-    if "Keyboard" not in action:
-        assert str(caught.value).startswith("action = ")
-        assert ": must be two finite numbers" in str(caught.value)
-        assert "\n" not in str(caught.value)
+    with pytest.raises((CommandError, KeyboardInterrupt), match=message) as caught:
+        env.step(action)
+    assert "\n" not in str(caught.value)
     assert env.unwrapped.robot.safety.sent == (0.0, 0.0)
 
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 
-from acsar_gym.config import EncoderConfig, FirmwareConfig, MotorConfig, RobotConfig
+from acsar_gym.config import EncoderConfig, FirmwareConfig, RobotConfig
 from acsar_gym.physics.firmware import Firmware
 from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
@@ -34,8 +32,8 @@ def drive(firmware: Firmware, line: bytes, ticks: int) -> bytes:
     return answer
 
 
-@pytest.mark.parametrize("rate", [10.0, 30.0, 100.0])
-def test_it_sends_unasked_and_reports_the_speed_that_was_commanded(rate: float) -> None:
+@pytest.mark.parametrize("rate", [10.0, 100.0])
+def test_feedback_comes_unasked_and_has_the_speed_that_was_commanded(rate: float) -> None:
     firmware, _ = board(RobotConfig(firmware=FirmwareConfig(feedback_rate=rate)))
     answer = b"".join(firmware.advance(TICK) for _ in range(100))
     assert abs(answer.count(b"\r\n") - rate) <= 2.0
@@ -45,7 +43,7 @@ def test_it_sends_unasked_and_reports_the_speed_that_was_commanded(rate: float) 
 
 
 @pytest.mark.parametrize(("delay", "motion"), [(0.0, 6), (0.0012, 7), (0.0373, 43)])
-def test_a_command_delay_is_exact_to_the_loop(delay: float, motion: int) -> None:
+def test_command_delay_is_exact_to_the_loop(delay: float, motion: int) -> None:
     """The line takes 2.95 ms and its processing 1.25 ms. A loop period is 1 ms."""
     config = RobotConfig(firmware=FirmwareConfig(loop_rate=1000.0, command_delay=delay))
     firmware, body = board(config)
@@ -57,21 +55,8 @@ def test_a_command_delay_is_exact_to_the_loop(delay: float, motion: int) -> None
     assert loops == motion
 
 
-def test_every_wheel_has_its_own_motor() -> None:
-    motor = MotorConfig(
-        gain=(1.0, 0.9, 1.1, 1.0),
-        time_constant=(0.0, 0.0, 0.0, 0.2),
-        deadband=(0.0, 0.0, 0.0, 0.0),
-        acceleration=(10.0, 20.0, 1e6, 1e6),
-    )
-    firmware, body = board(RobotConfig(motor=motor))
-    drive(firmware, encode(FORWARD), 41)  # acts for 0.4 s, in 80 loops
-    lagging = 8.0 * (1.0 - math.exp(-2.0))
-    assert body.wheel_speeds == pytest.approx((4.0, 7.2, 8.8, lagging), abs=0.06)
-
-
 @pytest.mark.parametrize("quantum", [0.025, 1.0])
-def test_printed_speeds_are_multiples_of_the_quantum(quantum: float) -> None:
+def test_quantum_divides_the_speeds_that_are_printed(quantum: float) -> None:
     firmware, body = board(RobotConfig(encoder=EncoderConfig(quantum=quantum, window=0.2)))
     answer = speeds_of(drive(firmware, encode((5.03, -4.77, 0.4, 0.0)), 100))
     for speed in (speed for speeds in answer for speed in speeds):
@@ -91,7 +76,7 @@ def test_motors_stop_without_valid_commands(line: bytes) -> None:
     assert firmware.decoder.refused["unknown motor"] == (229 if line else 0)
 
 
-def test_a_reset_forgets_everything() -> None:
+def test_reset_forgets_everything() -> None:
     firmware, body = board()
     fresh = drive(firmware, encode(FORWARD), 50)
     firmware.receive(b"half a li")

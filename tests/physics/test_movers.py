@@ -19,7 +19,8 @@ from acsar_gym.worlds.movers import Mover, Repeat, follow_keys, walk
 
 Floats = NDArray[np.float64]
 ACSAR = RobotConfig.preset("acsar")
-ENGINES = ["bullet", "mujoco"]
+NAMES = ["bullet", "mujoco"]
+ENGINES = pytest.mark.parametrize("name", NAMES)
 START = -0.25 - ACSAR.body.length / 2.0
 """x of a mover that touches a robot at the origin from behind [m]."""
 
@@ -41,9 +42,9 @@ def watch(link: SimulatedLink, ticks: int, period: float = ACSAR.period) -> tupl
     states = []
     for _ in range(ticks):
         link.advance(period)
-        assert link.truth.crowd is not None
+        crowd: Any = link.truth.crowd
         poses.append(link.truth.pose)
-        states.append(link.truth.crowd.states.copy())
+        states.append(crowd.states.copy())
     return np.array(poses), np.array(states)
 
 
@@ -73,8 +74,8 @@ CROWD = scene_of(
 )
 
 
-def test_planar_pybullet_and_mujoco_agree_where_movers_are() -> None:
-    links = [link_in(name, CROWD) for name in ("planar", *ENGINES)]
+def test_movers_are_at_the_same_places_in_planar_pybullet_and_mujoco() -> None:
+    links = [link_in(name, CROWD) for name in ("planar", *NAMES)]
     for _ in range(300):
         planar, *engines = (watch(link, 1)[1][0] for link in links)
         for states, link in zip(engines, links[1:], strict=True):
@@ -86,11 +87,9 @@ def test_planar_pybullet_and_mujoco_agree_where_movers_are() -> None:
         link.close()
 
 
-@pytest.mark.parametrize("name", ENGINES)
-@pytest.mark.parametrize(("speed", "rate"), [(0.3, 100.0), (1.5, 10.0), (5.0, 100.0)])
-def test_a_standing_robot_is_pushed_at_the_movers_speed(
-    name: str, speed: float, rate: float
-) -> None:
+@ENGINES
+@pytest.mark.parametrize(("speed", "rate"), [(0.3, 100.0), (5.0, 10.0)])
+def test_movers_push_a_robot_at_rest_at_their_speed(name: str, speed: float, rate: float) -> None:
     config = ACSAR.with_(control_rate=rate)
     link = link_in(name, scene_of(towards_robot(speed)), config)
     poses, states = watch(link, round(0.7 * rate), config.period)
@@ -103,8 +102,8 @@ def test_a_standing_robot_is_pushed_at_the_movers_speed(
     link.close()
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_a_robot_squeezed_against_a_wall_stays_near_and_repeats_bit_for_bit(name: str) -> None:
+@ENGINES
+def test_movers_squeeze_a_robot_against_a_wall_the_same_way_each_time(name: str) -> None:
     scene = scene_of(towards_robot(1.5, 0.1), segments=np.array([[0.45, -1.0, 0.45, 1.0]]))
     link = link_in(name, scene)
     poses, states = watch(link, 150)
@@ -115,8 +114,8 @@ def test_a_robot_squeezed_against_a_wall_stays_near_and_repeats_bit_for_bit(name
     link.close()
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_nothing_remains_where_a_mover_was(name: str) -> None:
+@ENGINES
+def test_movers_leave_nothing_where_they_were(name: str) -> None:
     """The robot drives through the places of a mover in this episode and in the last."""
     scene = scene_of(walk([[1.0, 0.0], [1.0, 8.0]], 4.0, repeat=Repeat.STOP))
     link = link_in(name, scene)
@@ -130,8 +129,8 @@ def test_nothing_remains_where_a_mover_was(name: str) -> None:
     link.close()
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_pictures_show_movers_where_they_are(name: str) -> None:
+@ENGINES
+def test_movers_are_in_pictures(name: str) -> None:
     """In their own colour, violet. The camera looks from behind the robot."""
     crossing = walk([[2.0, -1.5], [2.0, 8.0]], 4.0, repeat=Repeat.STOP)
     link = link_in(name, scene_of(crossing))

@@ -11,7 +11,6 @@ from varied import RANGES
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.physics import Physics, Randomization, compute_physics
-from acsar_gym.physics.model import loop_period
 from acsar_gym.physics.randomization import (
     TABLE,
     Randomizer,
@@ -31,12 +30,8 @@ def draw(ranges: Any) -> tuple[Physics, dict[str, Any]]:
     return physics, randomizer.info()
 
 
-def wheels(physics: Physics, name: str) -> list[float]:
-    return [getattr(physics, f"{name}_{wheel}") for wheel in WHEELS]
-
-
 @pytest.mark.parametrize("name", Randomization.model_fields)
-def test_each_parameter_changes_its_own_numbers_alone(name: str) -> None:
+def test_randomizer_changes_only_the_numbers_of_each_parameter(name: str) -> None:
     physics, info = draw({name: RANGES[name]})
     pairs = zip(Physics._fields, physics, compute_physics(CONFIG), strict=True)
     changed = {field.removesuffix("_a") for field, number, usual in pairs if number != usual}
@@ -49,27 +44,7 @@ def test_each_parameter_changes_its_own_numbers_alone(name: str) -> None:
     assert (values <= max(RANGES[name]) * 1.12).all()  # 60 Hz are rounded to 66.7
 
 
-def test_factors_multiply_and_the_others_replace() -> None:
-    physics, info = draw(RANGES)
-    usual = compute_physics(CONFIG)
-
-    assert physics.mass == pytest.approx(usual.mass * info["drawn_mass"])
-    grip = usual.grip * info["drawn_mass"] * info["drawn_friction"]
-    assert physics.grip == pytest.approx(grip)
-    assert wheels(physics, "gain") == pytest.approx(info["drawn_motor_gain"])
-    lag = -loop_period(CONFIG) / np.log(1.0 - np.array(wheels(physics, "blend")))
-    assert lag == pytest.approx(CONFIG.motor.time_constant * info["drawn_motor_lag"])
-    dead = info["drawn_deadband"] + info["drawn_deadband_offset"]
-    assert wheels(physics, "deadband") == pytest.approx(dead)
-    factor = info["drawn_wheel_radius"] * info["drawn_left_wheel_radius"]
-    assert physics.left_radius == pytest.approx(0.05 * factor)
-    ratio = (CONFIG.wheelbase / CONFIG.wheel_separation) ** 2
-    assert 1.0 + physics.kappa * ratio == pytest.approx((1.0 + ratio) * info["drawn_turn_factor"])
-    delay = info["drawn_command_delay"] + info["drawn_delay_samples"]
-    assert physics.command_delay == pytest.approx(delay)
-
-
-def test_without_ranges_a_robot_stays_as_configured() -> None:
+def test_randomizer_without_ranges_keeps_the_configured_robot() -> None:
     assert Randomizer(None, CONFIG, 0.1, simulated=False).draw(np.random.default_rng(0)) is None
     assert draw({"mass": (1.0, 1.0)})[0] == compute_physics(CONFIG)
 
@@ -83,7 +58,7 @@ def test_without_ranges_a_robot_stays_as_configured() -> None:
         ({"mass": (2.0, 1.0)}, "mass = .*low <= high"),
     ],
 )
-def test_bad_ranges_are_one_clear_error(ranges: Any, message: str) -> None:
+def test_randomization_refuses_bad_ranges_in_one_line(ranges: Any, message: str) -> None:
     config = CONFIG.with_(baud_rate=19200, control_rate=50.0)
     with pytest.raises(ConfigError, match=f"randomization.*{message}") as raised:
         Randomization.of(ranges).ranges(config, 0.1)
@@ -112,7 +87,7 @@ FITTED = ACSAR.with_(
 )
 
 
-def test_measured_intervals_become_ranges() -> None:
+def test_measured_randomization_has_the_measured_intervals() -> None:
     ranges = Randomization.measured(FITTED)
     assert ranges.motor_lag == pytest.approx((0.95, 1.05))
     assert ranges.deadband_offset == pytest.approx((-0.05, 0.06))
@@ -126,7 +101,7 @@ def test_measured_intervals_become_ranges() -> None:
     assert line.endswith("by default widths: friction, motor_gain")
 
 
-def test_measured_delays_are_replayed() -> None:
+def test_measured_randomization_replays_delays() -> None:
     delays = (0.001, 0.004, 0.0125)
     config = ACSAR.with_(firmware={"delay_samples": delays, "command_delay": 0.003})
     ranges = Randomization.measured(config)
@@ -139,7 +114,7 @@ def test_measured_delays_are_replayed() -> None:
     }
 
 
-def test_levels_are_nested() -> None:
+def test_randomization_level_contains_the_level_below() -> None:
     levels = [randomization_level(ACSAR, number) for number in (1, 2, 3)]
     for name in levels[0].names:
         narrow, usual, wide = (getattr(level, name) for level in levels)

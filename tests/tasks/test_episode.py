@@ -62,12 +62,10 @@ def test_draw_in_world_of_several_sets_is_by_name() -> None:
 @pytest.mark.parametrize("follow", [False, True])
 def test_draw_in_world_returns_the_worlds_of_the_pool(follow: bool) -> None:
     """Nothing has to be built again, and the start is a place in the world."""
-    worlds: dict[Any, World | None] = {}
+    worlds: dict[Any, Any] = {}
     for assignment in draw("clutter:2", 10, follow=follow):
-        world = assignment.world
+        world: Any = assignment.world
         assert worlds.setdefault(assignment.world_key, world) is world
-        assert world is not None
-        assert world.path is not None
         place = to_world(assignment.start, (*assignment.goal, 0.0))
         assert place[:2] == pytest.approx((world.goal.x, world.goal.y))
         assert assignment.start[:2] == pytest.approx(world.path[0])
@@ -78,5 +76,7 @@ def test_draw_in_world_follows_a_path_from_its_own_start() -> None:
     world = World(start=Region(0.0, 0.0), goal=Region(5.0, 5.0, 0.5), path=path)
     (assignment,) = draw(world, 1, follow=True)
     assert assignment.goal == pytest.approx((1.0, 1.0))
-    assert assignment.path is not None
-    assert assignment.path[0] == pytest.approx([0.0, 0.0, 0.0])
+    followed: Any = assignment.path
+    assert followed[0] == pytest.approx([0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="read-only"):  # a task gets it
+        followed[0] = 1.0

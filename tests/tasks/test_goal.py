@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from acsar_gym import RobotConfig
@@ -30,20 +29,6 @@ def test_observe_a_goal_ahead_and_a_goal_to_the_left(
     )
     expected = [2.0 / 3.0, cos, sin, 0.5, -0.5, 0.5, -0.5]
     assert list(observation.values()) == pytest.approx(expected, abs=1e-6)
-
-
-@given(coordinate, coordinate, angle, coordinate, coordinate)
-def test_observe_stays_in_its_bounds(
-    play: Any, x: float, y: float, theta: float, linear: float, angular: float
-) -> None:
-    observation = play(TASK, {"goal": (2.0, 0.0)}).seen(
-        pose=(x, y, theta), twist=(linear, angular), action=(1.0, -1.0)
-    )
-    for name, (low, high) in TASK.observation.items():
-        assert low <= observation[name] <= high
-    assert math.hypot(observation["goal_cos"], observation["goal_sin"]) == pytest.approx(
-        1.0, abs=1e-6
-    )
 
 
 def test_spawn_goals_are_on_all_sides_and_repeat_with_the_seed() -> None:

@@ -59,13 +59,6 @@ def test_path_outcome_too_far_beside(y: float, outcome: Outcome, follow: Any) ->
     assert reward == pytest.approx(-0.02 - y - (0.0 if outcome == Outcome.GOING else 2.0))
 
 
-def test_path_reward_pays_for_progress(follow: Any) -> None:
-    (forth, _), (back, _) = walk(follow(), (0.05, 0.0, 0.0), (0.0, 0.0, 0.0))
-    assert forth == pytest.approx(0.08)
-    assert back == pytest.approx(-0.12)
-    assert walk(follow(), (0.0, 0.0, 0.0), linear=-1.0)[0][0] == pytest.approx(-0.07)
-
-
 @pytest.mark.parametrize("path", [[(0.0, 0.0)], "path", [(0.0, math.nan)]])
 def test_path_that_is_wrong_is_refused(path: Any, follow: Any) -> None:
     with pytest.raises((WorldError, ConfigError), match="path"):

@@ -79,14 +79,12 @@ LATE = ACSAR.with_(
 )
 ONES = np.ones(3)
 CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
-    "obstacles": ("ObstacleGoal", {"worlds": "clutter:6"}, {}),
     "a polygon": ("ObstacleGoal", {"worlds": "clutter:6", "robot": POINTED}, {}),
     "BARN": ("Barn", {"worlds": "barn:4"}, {}),
     "people": ("Crowd", {"worlds": "crowd_reacting:6"}, {}),
     "movers of both kinds, and none": ("ObstacleGoal", {"worlds": MOVING}, {}),
     "movers without a LiDAR": ("ObstacleGoal", {"worlds": MOVING, "sensors": ()}, {}),
     "DynaBARN": ("DynaBarn", {"worlds": "dynabarn:4"}, {}),
-    "smooth path": ("PathFollow", {"worlds": "smooth_path:6"}, {}),
     "open floor": ("PointGoal", {"goal_distance": (0.3, 1.0)}, {}),
     "a goal": ("PointGoal", {}, {"goal": np.array([[1.0, 0.0], [0.5, 0.5], [np.nan, np.nan]])}),
     "a world": ("ObstacleGoal", {"worlds": "open:100-105"}, {"world": [101, 104, 102]}),
@@ -121,7 +119,6 @@ FLEETS: dict[str, tuple[str, Any, dict[str, Any]]] = {
     "with and without limits": ("PointGoal", [UNLIMITED, LIMITED, UNEVEN], {}),
     "obstacles": ("ObstacleGoal", [*NAMED, "drawn:3", POINTED], {"worlds": "clutter:6"}),
     "movers": ("ObstacleGoal", [*NAMED, POINTED], {"worlds": MOVING, "max_episode_steps": 40}),
-    "paths": ("PathFollow", [*NAMED, "drawn:4"], {"worlds": "smooth_path:6"}),
     "as trained": (
         "PointGoal",
         [ACSAR, "husky", ACSAR.with_(firmware={"delay_samples": [0.01, 0.02, 0.03]})],
@@ -202,5 +199,3 @@ def test_state_of_a_batch_has_every_field_of_the_single_env() -> None:
             assert type(value) is type(expected), name
         batch.step(np.full((2, 2), 0.75))
         single.step(np.full(2, 0.75, np.float32))
-    batch.close()
-    single.close()

@@ -36,7 +36,6 @@ def test_render_draws_a_picture_of_each_robot(env_id: str) -> None:
     assert (np.array(env.render()) != first).any(axis=(1, 2, 3)).all()
     env.reset(seed=0)
     assert (np.array(env.render()) == first).all()
-    env.close()
 
 
 def test_render_draws_movers() -> None:
@@ -47,7 +46,6 @@ def test_render_draws_movers() -> None:
     for _ in range(2):
         env.step(np.zeros((2, 2)))
     assert ((np.array(env.render()) == MOVER_COLOUR) != first).any(axis=(1, 2, 3)).all()
-    env.close()
 
 
 def test_render_draws_the_first_robots() -> None:
@@ -58,11 +56,3 @@ def test_render_draws_the_first_robots() -> None:
     drawn = [(picture != EMPTY_COLOUR).any() for picture in pictures]
     assert drawn == [True] * MAX_PICTURES + [False] * (300 - MAX_PICTURES)
     assert pictures[0].shape[0] * 18 <= 1920  # all of them, as the recorder tiles them
-    env.close()
-
-
-def test_render_without_the_mode_is_none() -> None:
-    env = make(render_mode=None)
-    env.reset(seed=0)
-    assert env.render() is None
-    env.close()

@@ -127,7 +127,6 @@ def test_sensor_errors_need_a_reset(numbers: Any, message: str) -> None:
         env.step(np.zeros((4, 2)))
     assert (env.reset(seed=0)[0] == first).all()
     env.step(np.zeros((4, 2)))
-    env.close()
 
 
 def test_draws_of_a_sensor_are_those_of_its_generator() -> None:

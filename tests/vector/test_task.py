@@ -60,7 +60,6 @@ def test_task_reads_weights_and_returns_any_numbers() -> None:
     observations, rewards, *_ = batch.step(ACTIONS)
     assert observations == pytest.approx(np.array([[0.1, 1.0, 1.0]] * 3))
     assert rewards.tolist() == [1.5] * 3
-    batch.close()
 
 
 USER = """
@@ -158,7 +157,6 @@ def test_task_mistake_in_a_step_is_named_and_a_reset_recovers(
         env.step(action)
         with pytest.raises(ConfigError, match=rf"^Wrong.*{message}"):
             env.step(action)
-    env.close()
 
 
 class Undeclared(Unsound):
@@ -194,4 +192,3 @@ def test_task_mistake_in_a_reset_is_named(task: type[Task], message: str) -> Non
     batch = RobotVectorEnv(task)
     with pytest.raises(ConfigError, match=message):
         batch.reset(seed=0)
-    batch.close()

@@ -11,7 +11,8 @@ import pytest
 from acsar_gym.vector.threads import Threads
 
 
-def test_threads_raise_an_error_of_any_slice() -> None:
+def test_threads_raise_an_error_of_any_slice_and_end_when_they_are_closed() -> None:
+    running = set(threading.enumerate())
     threads = Threads(3)
 
     def fail(first: int, last: int) -> None:
@@ -22,13 +23,6 @@ def test_threads_raise_an_error_of_any_slice() -> None:
         with pytest.raises(ValueError, match="the last slice"):
             threads.share(fail, 30)
     threads.share(lambda *_: None, 30)
-    threads.close()
-
-
-def test_threads_that_are_closed_end_and_work_goes_on_alone() -> None:
-    running = set(threading.enumerate())
-    threads = Threads(3)
-    threads.share(lambda *_: None, 9)
     threads.close()
     threads.close()
     assert set(threading.enumerate()) <= running

@@ -11,8 +11,6 @@ from acsar_gym.resources import CACHE_VARIABLE
 from acsar_gym.worlds import World, cache, generators, registry
 from acsar_gym.worlds.pool import Pool
 
-RADIUS = 0.25
-
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -37,24 +35,22 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def describe(world: World) -> tuple[object, ...]:
     """All of a world, bytes and types included."""
-    assert world.path is not None
-    arrays = world.circles, world.segments, world.path, *(m.pieces for m in world.movers)
+    arrays: Any = world.circles, world.segments, world.path, *(m.pieces for m in world.movers)
     shapes = [(a.tobytes(), a.shape, a.dtype, a.flags.writeable, a.strides) for a in arrays]
     return (*shapes, repr(world.start), repr(world.goal), world.name, world.length.hex())
 
 
 @pytest.mark.parametrize("kind", ["open", "rooms", "barn", "crowd"])
-def test_a_kept_world_is_the_generated_one_to_the_bit(kind: str, made: list[int]) -> None:
-    first = list(map(describe, Pool.of(f"{kind}:98-100", None, RADIUS)))
-    assert made == [98, 99, 100]
-    again = list(map(describe, Pool.of(f"{kind}:98-101", None, RADIUS)))
+def test_cached_worlds_are_the_generated_ones_to_the_bit(kind: str, made: list[int]) -> None:
+    first = list(map(describe, Pool.of(f"{kind}:98-100")))
+    again = list(map(describe, Pool.of(f"{kind}:98-101")))
     assert made == [98, 99, 100, 101]
     assert again[:3] == first
-    assert Pool.of(f"{kind}:98-98", 0.5, RADIUS)[98].name == f"{kind} 98"
+    assert Pool.of(f"{kind}:98-98", 0.5)[98].name == f"{kind} 98"
     assert made[4:] == [98]
 
 
-def test_a_changed_generator_never_finds_old_worlds(
+def test_cache_never_has_worlds_of_a_changed_generator(
     monkeypatch: pytest.MonkeyPatch, made: list[int]
 ) -> None:
     assert Pool.of("open:1")[0]
@@ -63,18 +59,17 @@ def test_a_changed_generator_never_finds_old_worlds(
     assert made == [0, 0]
 
 
-def test_a_users_own_generator_is_called_every_time(
+def test_cache_has_no_worlds_of_a_users_own_generator(
     monkeypatch: pytest.MonkeyPatch, folder: Path, made: list[int]
 ) -> None:
     monkeypatch.setattr(registry, "REGISTERED", {})
     registry.register("mine", lambda rng, difficulty, radius: World())
-    for _ in range(2):
-        assert Pool.of("mine:1", None, RADIUS)[0]
+    assert [Pool.of("mine:1")[0].name for _ in range(2)] == ["mine 0"] * 2
     assert made == [0, 0]
     assert not folder.exists()
 
 
-def test_a_broken_file_is_made_anew(folder: Path, made: list[int]) -> None:
+def test_cache_replaces_a_broken_file(folder: Path, made: list[int]) -> None:
     world = describe(Pool.of("open:1")[0])
     (file,) = folder.rglob("*.pickle")
     file.write_bytes(b"")
@@ -82,8 +77,8 @@ def test_a_broken_file_is_made_anew(folder: Path, made: list[int]) -> None:
     assert made == [0, 0]
 
 
-def test_a_process_that_makes_worlds_prunes_first(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, made: list[int]
+def test_cache_is_pruned_by_a_process_that_makes_worlds(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert list(Pool.of("open:5"))
     monkeypatch.setattr(cache, "MAX_CACHE_BYTES", 1)

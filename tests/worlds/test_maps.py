@@ -1,4 +1,4 @@
-"""ROS maps: exact outlines, where they lie, and pictures that mean harm."""
+"""ROS maps: exact outlines, their frame, and pictures that mean harm."""
 
 from __future__ import annotations
 
@@ -27,29 +27,19 @@ GREY = 205
 WHITE = 254
 
 
-def pgm(rows: Any) -> bytes:
+def pgm(*rows: list[int]) -> bytes:
     pixels = np.array(rows, np.uint8)
     height, width = pixels.shape
     return f"P5\n# by a test\n{width} {height}\n255\n".encode() + pixels.tobytes()
 
 
-def picture(image: Image.Image, kind: str = "PNG") -> bytes:
-    stream = io.BytesIO()
-    image.save(stream, kind)
-    return stream.getvalue()
-
-
-def write(folder: Path, data: bytes, image: str = "map.pgm", **changes: Any) -> Path:
-    (folder / image).write_bytes(data)
-    path = folder / "map.yaml"
-    fields = {**SETTINGS, "image": image, **ENDS, **changes}
+def load(folder: Path, data: bytes, **changes: Any) -> World:
+    (folder / "map.pgm").write_bytes(data)
+    fields = {**SETTINGS, **ENDS, **changes}
     written = {key: value for key, value in fields.items() if value is not None}
+    path = folder / "map.yaml"
     path.write_text(yaml.safe_dump(written), encoding="utf-8")
-    return path
-
-
-def loaded(folder: Path, data: bytes, image: str = "map.pgm", **changes: Any) -> World:
-    return files.load_world(write(folder, data, image, **changes))
+    return files.load_world(path)
 
 
 def as_set(segments: Any) -> set[tuple[float, ...]]:
@@ -66,26 +56,25 @@ def square(left: float, low: float, right: float, high: float) -> set[tuple[floa
     }
 
 
-def test_a_pixel_is_a_square_and_the_first_row_is_the_top(tmp_path: Path) -> None:
-    world = loaded(tmp_path, pgm([[WHITE, BLACK, WHITE], [WHITE, GREY, WHITE]]))
+def test_map_pixel_is_a_square_and_the_first_row_is_the_top(tmp_path: Path) -> None:
+    world = load(tmp_path, pgm([WHITE, BLACK, WHITE], [WHITE, GREY, WHITE]))
     assert as_set(world.segments) == square(0.5, 0.5, 1.0, 1.0)
     assert (world.start, world.goal) == (Region(0.0, 0.0, 0.0, 0.0), Region(3.0, 1.0))
     assert (world.name, len(world.circles)) == ("map", 0)
 
 
-def test_the_origin_moves_and_turns_the_map(tmp_path: Path) -> None:
-    world = loaded(tmp_path, pgm([[BLACK]]), origin=[10.0, -2.0, math.pi / 2.0])
+def test_map_origin_moves_and_turns_it(tmp_path: Path) -> None:
+    world = load(tmp_path, pgm([BLACK]), origin=[10.0, -2.0, math.pi / 2.0])
     assert as_set(world.segments) == square(9.5, -2.0, 10.0, -1.5)
 
 
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=8)))
-def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
+def test_trace_outlines_has_exactly_the_edges_of_pixels(mask: Any) -> None:
     edges: list[tuple[int, ...]] = []
     for x1, y1, x2, y2 in trace_outlines(mask).astype(int).tolist():
-        steps = x2 - x1 + y2 - y1
         dx = int(x2 > x1)
         dy = int(y2 > y1)
-        edges += [(x1 + k * dx, y1 + k * dy, dx, dy) for k in range(steps)]
+        edges += [(x1 + k * dx, y1 + k * dy, dx, dy) for k in range(x2 - x1 + y2 - y1)]
     filled = np.pad(mask[::-1], 1).astype(int)
     expected = {(x - 1, y, 1, 0) for y, x in np.argwhere(np.diff(filled, axis=0))}
     expected |= {(x, y - 1, 0, 1) for y, x in np.argwhere(np.diff(filled, axis=1))}
@@ -99,80 +88,68 @@ def test_outlines_are_exactly_the_edges_of_pixels(mask: Any) -> None:
         ({}, [True, True, False, False, False]),
         ({"negate": 1}, [False, False, True, True, True]),
         ({"mode": "scale"}, [True, True, False, False, False]),
-        ({"mode": "raw"}, [False, True, False, False, False]),
         ({"mode": "raw", "negate": 1}, [False, True, False, False, False]),
     ],
 )
-def test_which_pixels_are_obstacles(changes: dict[str, Any], expected: list[bool]) -> None:
+def test_occupied_shades_by_mode(changes: dict[str, Any], expected: list[bool]) -> None:
     shades = np.array([[0.0, 70.0, 200.0, 254.0, 255.0]]) / 255.0
     config = maps.read_settings({**SETTINGS, **changes})
     assert occupied_shades(shades, config)[0].tolist() == expected
 
 
-def png_of(mode: str) -> bytes:
-    """A black pixel beside a white one."""
-    if mode == "I;16":
-        return picture(Image.fromarray(np.array([[0, 65535]], np.uint16)))
-    return picture(Image.fromarray(np.array([[0, 255]], np.uint8)).convert(mode))
+def png(pixels: Any, mode: str | None = None) -> bytes:
+    stream = io.BytesIO()
+    image = Image.fromarray(pixels)
+    (image.convert(mode) if mode else image).save(stream, "PNG")
+    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
     "data",
     [
-        *map(png_of, ("1", "L", "P", "RGB", "RGBA", "LA", "I;16")),
-        picture(Image.fromarray(np.array([[[0, 0, 0, 255], [0, 0, 0, 0]]], np.uint8))),
+        *(png(np.array([[0, 255]], np.uint8), mode) for mode in ("1", "P", "RGBA", "LA")),
+        png(np.array([[0, 65535]], np.uint16)),
+        png(np.array([[[0, 0, 0, 255], [0, 0, 0, 0]]], np.uint8)),
         *(b"P2 2 1 9 0 9", b"P1 2 1 1 0", b"P5 2 1 65535 \0\0\xff\xff"),
         b"P5\n# CREATOR: map_saver.cpp 0.050 m/pix\n2 1\n255\n\0\xff",
     ],
 )
-def test_every_kind_of_picture_is_read(data: bytes, tmp_path: Path) -> None:
-    assert as_set(loaded(tmp_path, data).segments) == square(0.0, 0.0, 0.5, 0.5)
+def test_map_is_read_of_every_kind_of_picture(data: bytes, tmp_path: Path) -> None:
+    """A black pixel beside a white one."""
+    assert as_set(load(tmp_path, data).segments) == square(0.0, 0.0, 0.5, 0.5)
+
+
+PIXELS = "image 'map.pgm': has more than"
+UNSOUND = "image 'map.pgm': isn't a sound PGM"
+START = "has no start: run 'acsar-gym worlds convert FILE OUT.yaml --start X,Y,THETA' [m, rad]"
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("data", "changes", "message"),
     [
-        ({"resolution": None}, "'resolution' is missing"),
-        ({"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or 'raw'"),
-        ({"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occupied_thresh'?"),
-        (
-            {"start": None},
-            "has no start: run 'acsar-gym worlds convert FILE OUT.yaml --start X,Y,THETA' [m, rad]",
-        ),
+        (pgm([BLACK]), {"resolution": None}, "'resolution' is missing"),
+        (pgm([BLACK]), {"mode": "triangle"}, "mode = 'triangle': must be 'trinary', 'scale' or"),
+        (pgm([BLACK]), {"ocupied_thresh": 0.5}, "unknown key 'ocupied_thresh'; did you mean 'occu"),
+        (pgm([BLACK]), {"start": None}, START),
+        (b"P5 5000 5000 255\n", {}, PIXELS),
+        (b"P5 99999999 99999999 255\n", {}, PIXELS),
+        *((data, {}, UNSOUND) for data in (b"", b"P5 2 2 255\n\0", b"%!PS-Adobe-3.0 EPSF-3.0\n")),
     ],
+    ids=lambda value: str(value)[:20],
 )
-def test_bad_settings_are_refused(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
-    path = write(tmp_path, pgm([[BLACK]]))
-    fields = {**SETTINGS, **ENDS, **changes}
-    written = {key: value for key, value in fields.items() if value is not None}
-    path.write_text(yaml.safe_dump(written), encoding="utf-8")
+def test_map_that_is_broken_or_hostile_is_refused(
+    data: bytes, changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
     with pytest.raises(WorldError) as caught:
-        files.load_world(path)
-    assert str(caught.value).startswith(f"{path}: {message}")
-    assert "\n" not in str(caught.value)
+        load(tmp_path, data, **changes)
+    text = str(caught.value)
+    assert text.startswith(f"{tmp_path / 'map.yaml'}: {message}")
+    assert "\n" not in text
 
 
-UNSOUND = "isn't a sound PGM"
-
-
-@pytest.mark.parametrize(
-    ("data", "problem"),
-    [
-        *((data, "pixels") for data in (b"P5 5000 5000 255\n", b"P5 99999999 99999999 255\n")),
-        *((data, UNSOUND) for data in (b"", b"P5 2 2 255\n\x00", b"%!PS-Adobe-3.0 EPSF-3.0\n")),
-    ],
-    ids=lambda value: str(value[:20]),
-)
-def test_broken_and_hostile_pictures_are_refused(data: bytes, problem: str, tmp_path: Path) -> None:
-    with pytest.raises(WorldError, match=r"image 'map\.pgm': ") as caught:
-        loaded(tmp_path, data)
-    assert problem in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_without_pillow_it_says_what_to_install(
+def test_map_without_pillow_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(MissingExtraError, match=r"'\.\[pictures\]'"):
-        loaded(tmp_path, pgm([[BLACK]]))
+        load(tmp_path, pgm([BLACK]))

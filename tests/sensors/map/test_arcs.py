@@ -71,12 +71,6 @@ def test_measure_arcs_of_a_footprint_that_is_driven_along_an_arc_touches_where_t
         assert free >= min(0.999 * LONGEST_ARC * radius, half_turn - 2.2 * radius)
 
 
-@pytest.mark.parametrize(("x", "expected"), [(0.6, 0.35), (0.2501, 0.0)])
-def test_measure_arcs_straight_ahead(x: float, expected: float) -> None:
-    ways = measure(RECTANGLE, x, 0.1)
-    assert ways[:, STRAIGHT] == pytest.approx([expected, expected], abs=1e-3)
-
-
 @pytest.mark.parametrize(("share", "wide"), [(0.5, 0.75), (1.01, None)])
 def test_measure_arcs_of_the_wider_footprint(share: float, wide: float | None) -> None:
     radius = outline_radius(RECTANGLE)

@@ -17,13 +17,10 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.sensors import LIDAR, MAP, MOVERS
 from acsar_gym.sensors.map.seen import CELL_SIDE, OCCUPIED
 from acsar_gym.sensors.map.sensor import (
-    BODY,
     FARTHEST_CLEARANCE,
-    OLDEST_WAY,
     SECTORS,
     UNSEEN_CLEARANCE,
     clear_map,
-    describe_body,
     length_of_share,
 )
 from acsar_gym.sensors.map.tracks import AGE
@@ -106,42 +103,6 @@ def test_map_of_a_lidar_that_only_sees_ahead_remembers_what_is_behind(make_map: 
     clear_map(mapped.record)
     observed = clearances(mapped.see(turned, mapped.nothing))
     assert observed[0] == pytest.approx(UNSEEN_CLEARANCE)
-
-
-def test_map_gains_add_up_along_the_way(make_map: Any) -> None:
-    mapped = make_map(ACSAR, goal=(2.5, 0.2))
-    pace = ACSAR.max_linear * STEP
-    assert mapped.see(ORIGIN, mapped.nothing)["gained"] == 0.0
-    start = float(mapped.record.way_left)
-    total = x = y = 0.0
-    for step in range(1, OLDEST_WAY):
-        x += 0.8 * pace
-        y += (0.3 if step % 3 else -0.4) * pace
-        total += mapped.see((x, y, 0.0), mapped.nothing)["gained"] * pace
-        assert total == pytest.approx(start - mapped.record.way_left, abs=1e-9)
-        assert mapped.record.age == step
-    assert total > 0.5 * OLDEST_WAY * pace
-    assert mapped.see((x, y, 0.0), mapped.nothing)["gained"] == 0.0  # the robot stood still
-    assert mapped.record.age == 0
-
-
-def test_map_replaces_a_blocked_way(make_map: Any) -> None:
-    mapped = make_map(ACSAR, goal=(3.0, 0.0))
-    free = mapped.see(ORIGIN, mapped.nothing)
-    assert (free["way_cos_2"], free["way_sin_2"]) == pytest.approx((1.0, 0.0), abs=0.02)
-    wide = np.abs(mapped.bearings) < 0.7
-    ranges = np.where(wide, 1.0 / np.cos(mapped.bearings), mapped.nothing)
-    for _ in range(8):
-        blocked = mapped.see(ORIGIN, ranges)
-    assert blocked["way_left"] > free["way_left"]
-    assert abs(blocked["way_sin_2"]) > 0.3
-    assert mapped.record.age < 8
-
-
-def test_describe_body_has_speed_and_stopping_distance() -> None:
-    slower = describe_body(ACSAR.with_(max_linear=ACSAR.max_linear / 2.0)) / describe_body(ACSAR)
-    assert slower[BODY.index("top_speed")] == pytest.approx(0.5)
-    assert slower[BODY.index("stopping")] == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(
