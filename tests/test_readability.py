@@ -78,7 +78,7 @@ MOST = {
     "tasks": Counts(0, 0, 0, 4),
     "tools/commission": Counts(0, 0, 0, 2),
     "tools/evaluation": Counts(0, 0, 0, 2),
-    "tools/sysid": Counts(0, 0, 0, 5),
+    "tools/sysid": Counts(0, 0, 0, 4),
     "vector/kernel": Counts(0, 0, 0, 3),
 }
 

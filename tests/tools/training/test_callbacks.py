@@ -100,7 +100,7 @@ def test_training_watch_logs_unbiased_figures(
     held_out = PointGoalVectorEnv(4, **options)
     plan: Any = SimpleNamespace(
         recipe=SimpleNamespace(steps=1024),
-        options=SimpleNamespace(target=None),
+        options=SimpleNamespace(target=None, checkpoint_seconds=60.0),
         episode_steps=20,
         evaluation_interval=64,
     )
