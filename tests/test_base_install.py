@@ -76,7 +76,7 @@ def test_base_drives_over_a_serial_device(hidden: list[str], shared_device: str)
     [
         ("evaluate --link planar", "running a policy: deploy"),
         ("identify DEVICE", "identification: scipy"),
-        ("bench", "the PyBullet robot: bullet"),
+        ("drive --link bullet --duration 1", "the PyBullet robot: bullet"),
     ],
 )
 @pytest.mark.slow

@@ -79,7 +79,7 @@ def trace(home: Path) -> Path:
 
 
 def assert_silent(trace: Path, home: Path) -> None:
-    """Nothing reached out, and nobody left a number for this computer."""
+    """No other computer was reached, and no program left a number for this computer."""
     assert outside(trace) == []
     files = [str(path.relative_to(home)) for path in home.rglob("*") if path.is_file()]
     assert [name for name in files if not name.startswith((".cache/matplotlib/", ".config/"))] == []

@@ -538,6 +538,18 @@ class MapSensor(Sensor):
         )
         update_alone(self.records, *inputs)
 
+    def move_goal(self, goal: Place) -> None:
+        """Lead to another goal of the running episode, x and y in the odometry frame [m].
+
+        The way is planned again in the next step. If the goal has moved by less than a cell, as by
+        a small correction of a map, the robot keeps to its way.
+        """
+        if math.dist(goal, self.goal) >= self.cell_side:
+            self.goal = goal
+            record = self._record
+            record.corners = record.corner = 0
+            record.age = OLDEST_WAY
+
     @property
     def time(self) -> float:
         """Time of the newest scan on the link's clock, to which `movers` refers [s]."""

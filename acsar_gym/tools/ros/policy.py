@@ -329,7 +329,7 @@ def move_goal(env: RobotEnv, place: tuple[float, float]) -> None:
     episode = env.episode
     episode.assignment = replace(episode.assignment, goal=place)
     if (map_sensor := find_map(env.sensors)) is not None:
-        map_sensor.goal = place
+        map_sensor.move_goal(place)
 
 
 class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):

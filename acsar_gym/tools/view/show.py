@@ -134,7 +134,9 @@ def save_recording(path: Path, target: Path) -> int:
 
         count = write_recording(recording, connect)
         merge = [find_rerun(), "rrd", "merge", *files, "-o", str(target)]
-        done = subprocess.run(merge, check=False, capture_output=True, text=True)
+        done = subprocess.run(
+            merge, check=False, capture_output=True, text=True, env=disable_analytics(folder)
+        )
     if done.returncode:
         raise ConfigError(f"{target}: can't be written: {done.stderr.strip()[-200:]}")
     return count
@@ -177,24 +179,30 @@ def find_rerun() -> str:
     return str(next((folder / name for name in names if (folder / name).is_file()), "rerun"))
 
 
-def start_viewer() -> Viewer:
-    """Open a window of Rerun's viewer, which outlives this program. Raises ConfigError if it fails.
+def disable_analytics(folder: str) -> dict[str, str]:
+    """Return the environment for Rerun's program, whose analytics are off by settings in `folder`.
 
-    Its settings are in a folder of its own, so that its analytics are off whatever the user's are.
+    The user's own settings of Rerun aren't changed.
     """
+    # Relative paths in these variables are ignored, by the XDG specification.
+    home = str(Path(folder).absolute())
+    environment = {**os.environ, "RUST_LOG": "error"}
+    environment |= {"XDG_CONFIG_HOME": home, "XDG_DATA_HOME": home}
+    off = [find_rerun(), "analytics", "disable"]
+    subprocess.run(off, check=False, env=environment, capture_output=True)
+    return environment
+
+
+def start_viewer() -> Viewer:
+    """Open a window of Rerun's viewer, which outlives this program. ConfigError if it fails."""
     with socket.create_server((HOST, 0)) as listener:
         port = listener.getsockname()[1]
     folder = tempfile.mkdtemp(prefix="acsar-view-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    homes = {"XDG_CONFIG_HOME": folder, "XDG_DATA_HOME": folder}
-    environment = {**os.environ, **homes, "RUST_LOG": "error"}
-    # Switch off Rerun's analytics, whose setting is in this folder.
-    program = find_rerun()
-    off = [program, "analytics", "disable"]
-    subprocess.run(off, check=False, env=environment, capture_output=True)
+    environment = disable_analytics(folder)
 
     # A new session: Ctrl-C in the terminal ends the drive, not the viewer.
-    command = [program, "--bind", HOST, "--port", str(port), "--expect-data-soon"]
+    command = [find_rerun(), "--bind", HOST, "--port", str(port), "--expect-data-soon"]
     with tempfile.TemporaryFile() as log:
         process = subprocess.Popen(
             command, env=environment, stdout=log, stderr=log, start_new_session=True
