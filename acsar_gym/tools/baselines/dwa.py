@@ -26,15 +26,16 @@ from acsar_gym.tools.baselines.mapped import (
     RADIUS,
     RATE_X,
     RATE_Y,
+    Footprint,
     MappedPolicy,
     Pose,
     X,
     Y,
     blend_of,
     footprint_clearance,
+    polygon_distance,
 )
 from acsar_gym.tools.policies.policy import DecodedObservation
-from acsar_gym.worlds.geometry import Surroundings, footprint_gap, outer_radius
 
 LINEAR_SAMPLES = 9
 ANGULAR_SAMPLES = 25
@@ -95,7 +96,7 @@ class Situation(NamedTuple):
     units: RobotUnits
     blend: float
     """Share of the difference to the command by which the twist changes in an ARC_STEP."""
-    footprint: Surroundings
+    footprint: Footprint
     points: Floats
     """(n, 2): obstacles in the odometry frame [m]."""
     way: Floats
@@ -328,9 +329,9 @@ def movers_clearance(motion: Motion, time: float, around: Situation, limit: floa
     for mover in around.movers:
         dx = mover[X] + time * mover[RATE_X] - motion.x
         dy = mover[Y] + time * mover[RATE_Y] - motion.y
-        reach = outer_radius(around.footprint, 0) + mover[RADIUS] + limit
+        reach = around.footprint.outer + mover[RADIUS] + limit
         if dx * dx + dy * dy < reach * reach:
             along = dx * cos + dy * sin
-            gap, _, _ = footprint_gap(along, dy * cos - dx * sin, around.footprint, 0)
+            gap = polygon_distance(along, dy * cos - dx * sin, around.footprint.sides)
             limit = min(limit, max(gap - mover[RADIUS], 0.0))
     return limit

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acsar_gym.config import RobotConfig
+from acsar_gym.config.footprint import outline_radius
 from acsar_gym.errors import PolicyError
 from acsar_gym.jit import jit, loop
 from acsar_gym.lidar.scan import ray_spec
@@ -17,7 +19,6 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
-from acsar_gym.worlds.geometry import Surroundings, footprint_gap, make_surroundings, outer_radius
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
@@ -38,8 +39,46 @@ def blend_of(seconds: float, lag: float) -> float:
     return 1.0 - math.exp(-seconds / lag) if lag > 0.0 else 1.0
 
 
+class Footprint(NamedTuple):
+    """The outline of a robot, a convex polygon, in a form that compiled loops read fast."""
+
+    sides: Floats
+    """(sides, 4): ends of the sides in the base frame [m]."""
+    outer: float
+    """Radius of the disc around it [m]."""
+
+    @classmethod
+    def of(cls, config: RobotConfig) -> Footprint:
+        """Return the footprint of a robot."""
+        corners = np.array(config.outline)
+        sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
+        return cls(sides, outline_radius(config.outline))
+
+
 @loop
-def footprint_clearance(pose: Pose, points: Floats, footprint: Surroundings, limit: float) -> float:
+def polygon_distance(x: float, y: float, sides: Floats) -> float:
+    """Distance of a point from a convex polygon, (sides, 4). 0 inside [m]."""
+    nearest = np.inf
+    is_inside = True
+    for n in range(len(sides)):
+        start_x = sides[n, 0]
+        start_y = sides[n, 1]
+        side_x = sides[n, 2] - start_x
+        side_y = sides[n, 3] - start_y
+
+        # The nearest place of the side, as a share of its length.
+        share = (x - start_x) * side_x + (y - start_y) * side_y
+        share = share / (side_x * side_x + side_y * side_y)
+        share = min(max(share, 0.0), 1.0)
+        dx = x - start_x - share * side_x
+        dy = y - start_y - share * side_y
+        nearest = min(nearest, dx * dx + dy * dy)
+        is_inside = is_inside and side_x * (y - start_y) >= side_y * (x - start_x)
+    return 0.0 if is_inside else math.sqrt(nearest)
+
+
+@loop
+def footprint_clearance(pose: Pose, points: Floats, footprint: Footprint, limit: float) -> float:
     """Distance of the footprint at a pose from the nearest point.
 
     Args:
@@ -54,14 +93,13 @@ def footprint_clearance(pose: Pose, points: Floats, footprint: Surroundings, lim
     x, y, theta = pose
     cos = math.cos(theta)
     sin = math.sin(theta)
-    outer = outer_radius(footprint, 0)
     nearest = limit
     for n in range(len(points)):
         dx = points[n, 0] - x
         dy = points[n, 1] - y
-        reach = outer + nearest
+        reach = footprint.outer + nearest
         if dx * dx + dy * dy < reach * reach:
-            gap, _, _ = footprint_gap(dx * cos + dy * sin, dy * cos - dx * sin, footprint, 0)
+            gap = polygon_distance(dx * cos + dy * sin, dy * cos - dx * sin, footprint.sides)
             nearest = min(nearest, gap)
     return nearest
 
@@ -100,7 +138,7 @@ class MappedPolicy(BaselinePolicy):
                 "use --env obstacle_goal, or another policy"
             )
         self.map: MapSensor = setting.map
-        self.footprint = make_surroundings(None, None, setting.config)
+        self.footprint = Footprint.of(setting.config)
         self._angles = ray_spec(setting.config).angles()
         self.reset()
 

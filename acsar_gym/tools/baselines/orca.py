@@ -38,9 +38,9 @@ from acsar_gym.tools.baselines.mapped import (
     blend_of,
     to_base,
 )
-from acsar_gym.tools.policies.policy import DecodedObservation
+from acsar_gym.tools.policies.policy import DecodedObservation, PolicyContext
 from acsar_gym.truth import GroundTruth
-from acsar_gym.worlds.geometry import Surroundings, footprint_gap
+from acsar_gym.worlds.geometry import Surroundings, footprint_gap, make_surroundings
 
 LAG_STEPS = 4
 """Steps in which the robot's motion until a command takes effect is predicted."""
@@ -80,6 +80,11 @@ class Orca(MappedPolicy):
     follows_movers = True
     constants = OrcaConstants()
 
+    def equip(self, setting: PolicyContext) -> None:
+        """Prepare for a robot and a task."""
+        super().equip(setting)
+        self._surroundings = make_surroundings(None, None, setting.config)
+
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the velocity command [m/s, rad/s]."""
         units = self.units
@@ -96,7 +101,7 @@ class Orca(MappedPolicy):
         movers = np.column_stack([to_base(pose_then, moved), rates, tracks[:, RADIUS]])
         hard = BOX + len(points)
         planes = np.zeros((hard + len(movers), 3))
-        forbid_walls(planes[BOX:hard], points, k, self.footprint)
+        forbid_walls(planes[BOX:hard], points, k, self._surroundings)
         forbid_movers(planes[hard:], movers, speed, k, units)
 
         # The velocity within them that is nearest to the velocity along the way.

@@ -12,9 +12,8 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.errors import PolicyError
 from acsar_gym.tools import baselines
-from acsar_gym.tools.baselines.mapped import footprint_clearance
+from acsar_gym.tools.baselines.mapped import Footprint, footprint_clearance
 from acsar_gym.tools.evaluation import runs
-from acsar_gym.worlds.geometry import make_surroundings
 from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import Region, World
 
@@ -64,7 +63,7 @@ TRIANGLE = [(-0.1, -0.1), (0.2, 0.0), (-0.1, 0.1)]
 def test_footprint_clearance(
     footprint: Any, point: tuple[float, float], turned: float, wanted: float
 ) -> None:
-    around = make_surroundings(None, None, CONFIG.with_(footprint=footprint))
+    around = Footprint.of(CONFIG.with_(footprint=footprint))
     free = footprint_clearance((0.0, 0.0, turned), np.array([point]), around, 1.0)
     assert free == pytest.approx(wanted, abs=1e-9)
 
