@@ -125,7 +125,7 @@ def test_save_adds_fields_to_a_file_without(text: str, tmp_path: Path) -> None:
         {},
         optional={
             "wheel_radius": st.floats(0.02, 0.9),
-            "name": st.text(st.characters(exclude_characters="\x85"), max_size=20),
+            "name": st.text(st.characters(codec="utf-8", exclude_characters="\x85"), max_size=20),
             "odom_frame": st.sampled_from(["null", "no", "1e3", "", "a: b", "# c", "'", "[x"]),
             "watchdog_timeout": st.none() | st.floats(0.01, 1.0),
             "firmware": st.fixed_dictionaries({"delay_samples": st.lists(st.floats(0.0, 1.0))}),
