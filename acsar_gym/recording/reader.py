@@ -110,6 +110,11 @@ def check_table(name: str, table: Table) -> None:
             problem = "its times go backwards"
     elif table.dtype == DOUBLES and not (np.abs(table) <= MAX_STAMP).all():
         problem = f"{name} that are out of range"
+    elif name == "mover_states" and not (table[..., -1:] > 0.0).all():
+        problem = "a mover without a radius"
+    elif name == "measurements" and not (table[..., 1:2] >= 0.0).all():
+        problem = "a negative distance of the LiDAR"
+
     if problem:
         raise ConfigError(f"is damaged: {problem}")
 

@@ -193,10 +193,11 @@ MOVER = np.array([[[1.0, 2.0, 0.0, 0.0, 0.3]]])
         (make_block(make_exchanges(5.0, 4.0)), "times go backwards"),
         (make_block(make_exchanges(np.nan)), "a time that is out of range"),
         (make_block({"mover_states": MOVER + np.inf}), "out of range"),
+        (make_block({"mover_states": MOVER * 0.0}), "a mover without a radius"),
         (make_block({"wheels": np.zeros(3)}), "an unknown table"),
         (make_block(make_exchanges(1.0))[:-20], "can't be unpacked"),
     ],
-    ids=["start", "backwards", "nan", "infinite", "unknown", "short"],
+    ids=["start", "backwards", "nan", "infinite", "radius", "unknown", "short"],
 )
 def test_read_refuses_broken_blocks(block: bytes, text: str, tmp_path: Path) -> None:
     path = tmp_path / "file.mcap"
