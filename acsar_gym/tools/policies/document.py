@@ -33,6 +33,7 @@ from acsar_gym.vector.env import RobotVectorEnv
 
 DOCUMENT_KEY = "acsar_gym.policy"
 """Key of the document among the metadata of an ONNX file, and attribute of a model of SB3."""
+MAX_DOCUMENT_BYTES = 500_000
 MAX_QUOTED_CHARS = 100
 """Longest text from a file in a message."""
 MARGIN = 0.2
@@ -135,6 +136,8 @@ def parse_document(metadata: Mapping[str, str]) -> PolicyDocument:
             "for: export it again with 'acsar-gym policy MODEL.zip --out FILE --trust' or "
             "acsar_gym.tools.policies.save"
         )
+    if len(text) > MAX_DOCUMENT_BYTES:
+        raise PolicyError(f"its document is larger than {MAX_DOCUMENT_BYTES:,} bytes")
     try:
         return PolicyDocument.model_validate(reading.parse_json(text))
     except ConfigError as error:
