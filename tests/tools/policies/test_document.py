@@ -20,6 +20,7 @@ from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.tools.policies.document import (
     DOCUMENT_KEY,
+    MAX_DOCUMENT_BYTES,
     PolicyDocument,
     parse_document,
     robot_ranges,
@@ -59,8 +60,9 @@ def test_parse_document_accepts_or_refuses_in_one_line(name: str, value: Any) ->
         (json.dumps(changed(version=3)), "policy.version = 3"),
         (json.dumps(changed(extra=1)), "'policy.extra'"),
         ("[" * 100_000, "JSON"),
+        (WHOLE + " " * MAX_DOCUMENT_BYTES, "500,000"),
     ],
-    ids=range(4),
+    ids=range(5),
 )
 def test_parse_document_names_each_kind_of_damage(text: str, message: str) -> None:
     with pytest.raises(PolicyError) as raised:
@@ -136,6 +138,18 @@ def test_take_sensors_wants_whole_sensors_and_at_least_one(tmp_path: Path) -> No
         fitting(tmp_path / "p.onnx", "obstacle_goal", 6, worlds="open:2")
     path = fitting(tmp_path / "p.onnx", "obstacle_goal", 7, worlds="open:2")
     assert "observation[7] is nothing in the file and map[90]" in refused(path, worlds="open:2")
+
+
+def test_list_differences_names_options_of_the_task(tmp_path: Path) -> None:
+    path = relabelled(
+        tmp_path / "p.onnx",
+        options={"goal_tolerance": 0.05, "goal_distance": [0.5, 3.0], "gone": 1},
+    )
+    policy = OnnxPolicy(path)
+    runs.make_env(policy, "planar", None, {}).close()
+    assert policy.differences == (
+        "goal_tolerance was 0.05 in the training and is 0.15 in this task",
+    )
 
 
 @pytest.mark.parametrize(
