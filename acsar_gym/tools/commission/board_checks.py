@@ -1,11 +1,11 @@
-"""The checks of a board: a list of functions, each of which returns a row of the doctor's table."""
+"""The checks of a board: each yields a row of the doctor's table."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +64,8 @@ SAME_RATE = 0.05
 SAME_TIMEOUT = 0.03
 """A time-out is as configured within this [s]."""
 
+FATAL = ("echo", "resets", "command letters", "measured speeds")
+"""Rows that appear only if a board can't be used, and that end the checks."""
 IN_PROGRAM = "in the board's program"
 DELAY_CHECK = "command to feedback"
 TIMEOUT_CHECK = "stops when commands stop"
@@ -79,7 +81,7 @@ and say what turned: acsar-gym doctor DEVICE --spin --saw b a d c --out FILE"""
 
 @dataclass
 class BoardExamination:
-    """What the checks of a board share.
+    """The checks of a board, and what they found.
 
     Attributes:
         config: Robot configuration, as in the robot's file.
@@ -107,45 +109,281 @@ class BoardExamination:
         Raises:
             LinkError: The board is lost or silent, or its wheels keep turning.
         """
-        self.device = link.device
         self.probe = BoardProbe(link, self.config)
 
         # Wheels turn as fast as the limits of the robot's file allow, at most.
         four = (SPIN_SPEED, SPIN_SPEED, SPIN_SPEED, SPIN_SPEED)
         self.speed = min(Safety(self.config).bounded(four, (0.0, 0.0, 0.0), 0.0))
         self.turned = wheels_of_file(self.config.wheels) if self.seen is None else self.seen
-        for check in LISTENING + (SPINNING if self.spin else ()):
-            row = check(self)
-            if row is not None:
-                yield row
-            if not self.is_usable:
+
+        rows = [self._listen(link.device)]
+        if self.spin:
+            rows += [self._check_line_end(), self._spin(), self._check_wheels()]
+            rows += [self._measure_times(), self._check_resets()]
+        for row in chain.from_iterable(rows):
+            yield row
+            if row.name in FATAL:
+                self.is_usable = False
                 return
         if not self.spin:
             for name in ("wiring", DELAY_CHECK, TIMEOUT_CHECK):
                 yield Check(name, "skip", "needs turning wheels", "lift the robot and add --spin")
 
-    def drive(self, command: Speeds | bytes, duration: float, **options: float) -> Floats:
+    def _listen(self, device: str) -> Iterator[Check]:
+        """Check what a board sends while zero is commanded."""
+        # The probe is no command of the protocol, so that no board answers it by itself. An echo
+        # may come later than a link waits for it when it opens.
+        probe = self.probe
+        probe.drive(ECHO_PROBE, ECHO_TIME)
+        if ECHO_PROBE in probe.tail:
+            error = echo_error(device)
+            yield Check("echo", "fail", error.found, error.fix)
+
+        probe.measure_rate(self.config.period)
+        expected = self.config.feedback_rate
+        yield warn_if(
+            probe.rate < 0.9 * expected,
+            "feedback rate",
+            f"{probe.rate:.1f} lines/s, {expected:g} expected",
+            "set firmware.feedback_rate to what the board sends, or speed the board up",
+        )
+
+        # The newest complete line, as the last line may be incomplete.
+        line = probe.tail.rpartition(b"\n")[0].rpartition(b"\n")[2].strip()
+        yield Check("line format", "ok", shown_bytes(line))
+
+        decoder = probe.decoder
+        refused = sum(decoder.refused.values())
+        sample = f", such as in {shown_bytes(decoder.sample)}" if refused else ""
+        yield warn_if(
+            refused > 0,
+            "line quality",
+            f"{refused} bad parts in {decoder.lines} lines{sample}",
+            "check the cable, ground and baud rate",
+        )
+        yield from self._check_resets()
+
+    def _check_resets(self) -> Iterator[Check]:
+        """Find a board that was reset."""
+        if self.probe.gaps:
+            silences = ", ".join(f"{gap:.1f} s" for gap in self.probe.gaps)
+            fix = "check its power supply, which motors may draw down, and its watchdog"
+            yield Check("resets", "fail", f"the board was reset: silent for {silences}", fix)
+
+    def _drive(self, command: Speeds | bytes, duration: float, **options: float) -> Floats:
         """Command speeds as `BoardProbe.drive` does, and stop. Returns the lines' speeds."""
         speeds = self.probe.drive(command, duration, **options).speeds
         self.probe.stop_wheels(self.speed)
         return speeds
 
-    def command(self, letters: str) -> Speeds:
+    def _command(self, letters: str) -> Speeds:
         """Return the command that turns the wheels of some letters forward."""
         a, b, c, d = (self.speed * (letter in letters) for letter in MOTORS)
         return a, b, c, d
 
-    def turns(self, speeds: Floats) -> bool:
-        """Return whether a wheel turned."""
-        return bool(np.abs(speeds).max(initial=0.0) > STANDING_SHARE * self.speed)
+    def _turning(self, speeds: Floats) -> Floats:
+        """Return the lines of a turning wheel."""
+        return np.asarray(speeds[np.abs(speeds).max(axis=1) > STANDING_SHARE * self.speed])
 
-    def refuse(self, name: str, finding: str, fix: str) -> Check:
-        """End the checks with a failure."""
-        self.is_usable = False
-        return Check(name, "fail", finding, fix)
+    def _check_line_end(self) -> Iterator[Check]:
+        """Find whether the last value of a line is taken with, or without, a trailing comma.
 
-    def save(self, path: Path, *, force: bool = False) -> Check:
-        """Write the robot with the changes. `force` replaces a file that isn't a robot's."""
+        The value is that of wheel d. Nothing is found if it doesn't turn.
+        """
+        self.probe.stop_wheels(self.speed)
+        # Boards that parse up to a comma lose the last value without it. Others refuse an empty
+        # value.
+        with_comma = self._takes_last_value(comma=True)
+        without_comma = self._takes_last_value(comma=False)
+        self.probe.trailing_comma = with_comma or not without_comma
+        if with_comma and without_comma:
+            finding = "a value is taken at the line's end, and at its comma"
+            yield Check("line end", "ok", finding)
+        if with_comma == without_comma:
+            return
+
+        # A board that takes both forms needs no change.
+        differs = with_comma != self.config.trailing_comma
+        if differs:
+            self.changes["trailing_comma"] = with_comma
+        finding = "the last value is taken without a trailing comma only"
+        if with_comma:
+            finding = "a value is taken at its comma: the last one needs a trailing comma"
+        fix = f"use trailing_comma: {str(with_comma).lower()}"
+        yield warn_if(differs, "line end", finding, fix)
+
+    def _takes_last_value(self, *, comma: bool) -> bool:
+        """Return whether wheel d turns, whose value ends each line.
+
+        The board gets only one line: some boards take a value at the first comma of the next line.
+        """
+        self.probe.trailing_comma = comma
+        lines = self.probe.drive(self._command("d"), SINGLE_COMMAND_TIME, interval=math.inf)
+
+        # Either form of zero alone may miss the value of one wheel.
+        self.probe.trailing_comma = True
+        self._drive(BOTH_ZEROS, STOP_TIME, interval=STOP_TIME / 2.0)
+        return len(self._turning(lines.speeds)) > 0
+
+    def _spin(self) -> Iterator[Check]:
+        """Turn one wheel after the other, and report what can't be a wheel's answer."""
+        # A person watches which wheel turns, so that they turn one at a time.
+        for letter in MOTORS:
+            lines = self.probe.drive(self._command(letter), SPIN_TIME)
+            self.probe.stop_wheels(self.speed)
+            self.answers[letter] = WheelAnswer.of(lines, self.speed)
+            yield from self._check_resets()
+
+        # The text of our own firmware names a wheel whose motor it has switched off.
+        if notes := self.probe.decoder.notes:
+            is_cut = any(note[1:].startswith(" cut:") for note in notes)
+            yield Check(
+                "the board says",
+                "fail" if is_cut else "warn",
+                escape_unprintable("; ".join(notes)),
+                f"a wheel that turns against its motor: set ENCODER_REVERSED or MOTOR_REVERSED "
+                f"{IN_PROGRAM}; a stalled wheel: look what blocks it, and at its encoder's plug",
+            )
+
+        # No encoder answered: try the other case before calling all wheels dead.
+        if not any(answer.encoder for answer in self.answers.values()):
+            self.probe.upper_case = True
+            if len(self._turning(self._drive(self._command(MOTORS), SPIN_TIME))):
+                yield Check(
+                    "command letters",
+                    "fail",
+                    "the board takes upper-case letters only: AP03.00 turns a wheel, ap03.00 "
+                    "doesn't",
+                    f"take lower-case letters {IN_PROGRAM}, as the wire has them",
+                )
+
+        # Encoders never follow four odd speeds with two decimals at once, to the last digit.
+        a, b, c, d = (round(share * self.speed, 2) for share in ODD_SHARES)
+        turning = self._turning(self._drive((a, b, c, d), SET_POINT_TIME))
+        if len(turning) and np.abs(turning - (a, b, c, d)).max() <= 1.5 * PRINTED_STEP:
+            yield Check(
+                "measured speeds",
+                "fail",
+                "feedback is what was commanded, at once and to the last digit: the board's set "
+                "points, or an echo in its own words",
+                f"send what the encoders measure {IN_PROGRAM}",
+            )
+
+    def _check_wheels(self) -> Iterator[Check]:
+        """Report how each wheel is wired, whether it turns as commanded, and the wiring."""
+        for letter, name, configured in zip(MOTORS, WHEELS, self.config.wheels.each, strict=True):
+            yield self._check_wheel(letter, name, configured)
+
+        # Only users can see motors and encoders apart.
+        self.wiring = infer_wiring(self.answers, self.turned)
+        if self.wiring is not None:
+            yield self._check_wiring(self.wiring)
+
+    def _check_wheel(self, wheel: str, name: str, configured: WheelConfig) -> Check:
+        # The letter that turns this wheel, as seen or as the robot's file says.
+        motor = next((letter for letter, turn in self.turned.items() if turn.wheel == wheel), "")
+        answer = self.answers.get(motor)
+        if answer is None or not answer.encoder:
+            finding = f"dead: no encoder answers to motor {motor or '(none turned it)'}"
+            if self.seen is None:
+                finding += "; the wire can't tell whether the motor or the encoder is dead"
+                fix = f"look whether {name} turns: if it does, check its encoder, otherwise its "
+                return Check(name, "fail", finding, f"{fix}motor")
+            dead = "encoder" if motor else "motor"
+            return Check(name, "fail", f"{finding}: its {dead} is dead", f"check the {dead}'s plug")
+
+        wiring = wire_wheel(motor, self.turned[motor], answer)
+        reversed_motor = " reversed" if wiring.motor_sign == -1 else ""
+        counts = "forward" if wiring.sign == 1 else "backward"
+        finding = (
+            f"motor {motor}{reversed_motor}, encoder {wiring.encoder} counts {counts}, "
+            f"measured/commanded {answer.ratio:.2f}"
+        )
+        if not answer.is_right:
+            finding += ", and stopped although the command went on" if answer.has_stopped else ""
+            return Check(name, "fail", finding, explain_speed(motor, answer, self.config))
+
+        # Wires that touch make encoders turn together.
+        faults = [f"encoder {encoder} turns with it" for encoder in answer.encoders[1:]] + [
+            f"encoder {wiring.encoder} answers to motor {letter}, too"
+            for letter, answered in self.answers.items()
+            if letter != motor and answered.encoder == wiring.encoder
+        ]
+        if faults:
+            return Check(name, "fail", f"{finding}; {', '.join(faults)}", "check its wires")
+        if wiring == configured:
+            return Check(name, "ok", finding)
+
+        usual = WheelConfig(motor=wheel, encoder=wheel).model_dump()
+        fields = wiring.model_dump().items()
+        changed = ", ".join(f"{key}: {value}" for key, value in fields if value != usual[key])
+        fix = f"swap the wires, or use wheels: {{{wheel}: {{{changed}}}}}"
+        return Check(name, "warn", f"{finding}, unlike in the robot's file", fix)
+
+    def _check_wiring(self, wiring: WheelsConfig) -> Check:
+        """Compare the wiring with that of the robot's file, or with ours if there is no file."""
+        is_usual = self.config.wheels == WheelsConfig()
+        is_seen = self.seen is not None
+        finding = describe_sides(wiring) or ("as seen" if is_seen else "as the encoders answer")
+        if wiring == self.config.wheels:
+            if is_usual and not is_seen:
+                finding = "only eyes see a motor and an encoder that are swapped or reversed "
+                return Check("wiring", "ok", f"{finding}together", WATCH_ADVICE)
+            finding += "" if is_usual else ", as the robot's file says"
+            return Check("wiring", "ok", finding)
+
+        finding += "" if is_usual else ", unlike in the robot's file"
+        if is_seen:
+            fix = "what was seen counts: write it into a robot's file with --out FILE"
+            return Check("wiring", "warn", finding, fix)
+        finding += "; that encoders are swapped or reversed, and not motors, is an assumption"
+        return Check("wiring", "warn", finding, WATCH_ADVICE)
+
+    def _measure_times(self) -> Iterator[Check]:
+        """Report how long a command takes to show, and how soon the board stops by itself."""
+        # Times are measured with all wheels, which must turn as commanded.
+        is_right = all(answer.is_right for answer in self.answers.values())
+        if self.wiring is None or not is_right:
+            for name in (DELAY_CHECK, TIMEOUT_CHECK):
+                yield Check(name, "skip", "needs wheels that turn as commanded", "fix them first")
+            return
+        if self.wiring != self.config.wheels:
+            self.changes["wheels"] = self.wiring.model_dump()
+
+        times = measure_board(self.probe, self.speed)
+        self.times = times
+        yield warn_if(
+            not times.delay < SLOW_RESPONSE,
+            DELAY_CHECK,
+            f"{1e3 * times.delay:.0f} ms from a command's last byte to the first that shows it, "
+            f"the median of {len(times.delays)}, "
+            f"{1e3 * max(times.delays, default=math.nan):.0f} ms at most",
+            "raise the baud rate; set the USB adapter's latency timer to 1 ms",
+        )
+        timeout = times.command_timeout
+        if math.isnan(timeout):
+            fix = "does the board repeat old lines, or is this computer busy? Try again"
+            yield Check(TIMEOUT_CHECK, "fail", "another time at each trial", fix)
+            return
+
+        # Fields that are as configured stay as they are in the file.
+        never = math.isinf(timeout)
+        firmware: dict[str, float | None] = {}
+        if not math.isclose(self.config.feedback_rate, times.feedback_rate, rel_tol=SAME_RATE):
+            firmware["feedback_rate"] = times.feedback_rate
+        configured = self.config.firmware.command_timeout or math.inf
+        if not math.isclose(configured, timeout, abs_tol=SAME_TIMEOUT):
+            firmware["command_timeout"] = None if never else round(timeout, 2)
+        if firmware:
+            self.changes["firmware"] = firmware
+        if never:
+            fix = "add a command time-out to the firmware"
+            yield Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix)
+        else:
+            yield Check(TIMEOUT_CHECK, "ok", f"{timeout:.2f} s after the last command")
+
+    def save(self, path: Path) -> Check:
+        """Write the robot with the changes."""
         name = "robot file"
         if not self.is_usable or self.times is None or math.isnan(self.times.command_timeout):
             finding = f"{path} isn't written: not all was found"
@@ -153,10 +391,10 @@ class BoardExamination:
 
         # Without eyes, the wire can't tell which wheel a letter turns.
         is_assumed = self.seen is None and "wheels" in self.changes
+        remarks = {"wheels": ASSUMPTION_REMARK} if is_assumed else {}
         try:
-            remarks = {"wheels": ASSUMPTION_REMARK} if is_assumed else {}
             robot = self.config.with_(**self.changes)
-            robot.save(path, remarks, outdated=(ASSUMPTION_REMARK,), force=force)
+            robot.save(path, remarks, outdated=(ASSUMPTION_REMARK,))
         except ConfigError as error:
             return Check(name, "fail", f"not written: {error}", "change that first")
 
@@ -168,304 +406,16 @@ class BoardExamination:
         return Check(name, "warn" if is_assumed else "ok", finding, f"use --robot {path}")
 
 
-def check_echo(board: BoardExamination) -> Check | None:
-    """Find a board that sends commands back, also later than a link waits for when it opens."""
-    # The probe is no command of the protocol, so that no board answers it by itself.
-    board.probe.drive(ECHO_PROBE, ECHO_TIME)
-    if ECHO_PROBE not in board.probe.tail:
-        return None
-    error = echo_error(board.device)
-    return board.refuse("echo", error.found, error.fix)
-
-
-def check_feedback_rate(board: BoardExamination) -> Check:
-    """Count lines while zero is commanded."""
-    board.probe.measure_rate(board.config.period)
-    rate = board.probe.rate
-    expected = board.config.feedback_rate
-    return warn_if(
-        rate < 0.9 * expected,
-        "feedback rate",
-        f"{rate:.1f} lines/s, {expected:g} expected",
-        "set firmware.feedback_rate to what the board sends, or speed the board up",
-    )
-
-
-def check_line_format(board: BoardExamination) -> Check:
-    """Show the newest complete line."""
-    # The last line may be incomplete.
-    line = board.probe.tail.rpartition(b"\n")[0].rpartition(b"\n")[2].strip()
-    return Check("line format", "ok", shown_bytes(line))
-
-
-def check_line_quality(board: BoardExamination) -> Check:
-    """Count damaged parts of lines."""
-    decoder = board.probe.decoder
-    refused = sum(decoder.refused.values())
-    sample = f", such as in {shown_bytes(decoder.sample)}" if refused else ""
-    return warn_if(
-        refused > 0,
-        "line quality",
-        f"{refused} bad parts in {decoder.lines} lines{sample}",
-        "check the cable, ground and baud rate",
-    )
-
-
-def check_resets(board: BoardExamination) -> Check | None:
-    """Find a board that was reset."""
-    if not board.probe.gaps:
-        return None
-    silences = ", ".join(f"{gap:.1f} s" for gap in board.probe.gaps)
-    fix = "check its power supply, which motors may draw down, and its watchdog"
-    return board.refuse("resets", f"the board was reset: silent for {silences}", fix)
-
-
-def check_line_end(board: BoardExamination) -> Check | None:
-    """Find whether the last value of a line is taken with, or without, a trailing comma.
-
-    The value is that of wheel d. Nothing is found if it doesn't turn.
-    """
-    board.probe.stop_wheels(board.speed)
-    # Boards that parse up to a comma lose the last value without it. Others refuse an empty value.
-    with_comma = takes_last_value(board, comma=True)
-    without_comma = takes_last_value(board, comma=False)
-    board.probe.trailing_comma = with_comma or not without_comma
-    if with_comma == without_comma:
-        finding = "a value is taken at the line's end, and at its comma"
-        return Check("line end", "ok", finding) if with_comma else None
-
-    # A board that takes both forms needs no change.
-    differs = with_comma != board.config.trailing_comma
-    if differs:
-        board.changes["trailing_comma"] = with_comma
-    finding = "the last value is taken without a trailing comma only"
-    if with_comma:
-        finding = "a value is taken at its comma: the last one needs a trailing comma"
-    return warn_if(differs, "line end", finding, f"use trailing_comma: {str(with_comma).lower()}")
-
-
-def takes_last_value(board: BoardExamination, *, comma: bool) -> bool:
-    """Return whether wheel d turns, whose value ends each line.
-
-    The board gets only one line: some boards take a value at the first comma of the next line.
-    """
-    board.probe.trailing_comma = comma
-    command = board.command("d")
-    lines = board.probe.drive(command, SINGLE_COMMAND_TIME, interval=math.inf)
-
-    # Either form of zero alone may miss the value of one wheel.
-    board.probe.trailing_comma = True
-    board.drive(BOTH_ZEROS, STOP_TIME, interval=STOP_TIME / 2.0)
-    return board.turns(lines.speeds)
-
-
-def spin_wheels(board: BoardExamination) -> Check | None:
-    """Turn one wheel after the other, and report what the board says to that in text."""
-    # A person watches which wheel turns, so that they turn one at a time.
-    for letter in MOTORS:
-        lines = board.probe.drive(board.command(letter), SPIN_TIME)
-        board.probe.stop_wheels(board.speed)
-        board.answers[letter] = WheelAnswer.of(lines, board.speed)
-        if board.probe.gaps:
-            return check_resets(board)
-
-    # Which encoder answered to which letter, and which wheel that letter turned.
-    board.wiring = infer_wiring(board.answers, board.turned)
-
-    notes = board.probe.decoder.notes
-    if not notes:
-        return None
-
-    # The text of our own firmware names a wheel whose motor it has switched off.
-    is_cut = any(note[1:].startswith(" cut:") for note in notes)
-    return Check(
-        "the board says",
-        "fail" if is_cut else "warn",
-        escape_unprintable("; ".join(notes)),
-        f"a wheel that turns against its motor: set ENCODER_REVERSED or MOTOR_REVERSED "
-        f"{IN_PROGRAM}; a stalled wheel: look what blocks it, and at its encoder's plug",
-    )
-
-
-def check_command_letters(board: BoardExamination) -> Check | None:
-    """Find a board that takes upper-case letters only."""
-    if any(answer.encoders for answer in board.answers.values()):
-        return None
-
-    # No encoder answered: try the other case before calling all wheels dead.
-    board.probe.upper_case = True
-    if not board.turns(board.drive(board.command(MOTORS), SPIN_TIME)):
-        return None
-    return board.refuse(
-        "command letters",
-        "the board takes upper-case letters only: AP03.00 turns a wheel, ap03.00 doesn't",
-        f"take lower-case letters {IN_PROGRAM}, as the wire has them",
-    )
-
-
-def check_set_points(board: BoardExamination) -> Check | None:
-    """Find a board whose feedback is the command itself, at once and to the last digit."""
-    # Odd numbers with two decimals, as no encoder's steps are.
-    a, b, c, d = (round(share * board.speed, 2) for share in ODD_SHARES)
-    command = (a, b, c, d)
-    speeds = board.drive(command, SET_POINT_TIME)
-
-    # Encoders never follow four odd speeds to the last digit.
-    turning = speeds[np.abs(speeds).max(axis=1) > STANDING_SHARE * board.speed]
-    if not len(turning) or np.abs(turning - command).max() > 1.5 * PRINTED_STEP:
-        return None
-    return board.refuse(
-        "measured speeds",
-        "feedback is what was commanded, at once and to the last digit: the board's set points, or "
-        "an echo in its own words",
-        f"send what the encoders measure {IN_PROGRAM}",
-    )
-
-
-def check_wheel(index: int, board: BoardExamination) -> Check:
-    """Report how one wheel is wired, and whether it turns as commanded."""
-    name = WHEELS[index]
-
-    # The letter that turns this wheel, as seen or as the robot's file says.
-    letter = next((x for x, turned in board.turned.items() if turned.wheel == MOTORS[index]), "")
-    answer = board.answers.get(letter)
-    if answer is None or not answer.encoders:
-        finding = f"dead: no encoder answers to motor {letter or '(none turned it)'}"
-        if board.seen is None:
-            finding += "; the wire can't tell whether the motor or the encoder is dead"
-            fix = f"look whether {name} turns: if it does, check its encoder, otherwise its motor"
-            return Check(name, "fail", finding, fix)
-        dead = "encoder" if letter else "motor"
-        return Check(name, "fail", f"{finding}: its {dead} is dead", f"check the {dead}'s plug")
-
-    wheel = wire_wheel(letter, board.turned[letter], answer)
-    motor = f"motor {letter}" + (" reversed" if wheel.motor_sign == -1 else "")
-    encoder = f"encoder {wheel.encoder} counts {'forward' if wheel.sign == 1 else 'backward'}"
-    finding = f"{motor}, {encoder}, measured/commanded {answer.ratio:.2f}"
-    if not answer.is_right:
-        finding += ", and stopped although the command went on" if answer.has_stopped else ""
-        return Check(name, "fail", finding, explain_speed(letter, answer, board.config))
-
-    # Wires that touch make encoders turn together.
-    faults = [f"encoder {encoder} turns with it" for encoder in answer.encoders[1:]] + [
-        f"encoder {wheel.encoder} answers to motor {motor}, too"
-        for motor, answered in board.answers.items()
-        if motor != letter and answered.encoders[:1] == wheel.encoder
-    ]
-    if faults:
-        return Check(name, "fail", f"{finding}; {', '.join(faults)}", "check its wires")
-    if wheel == board.config.wheels.each[index]:
-        return Check(name, "ok", finding)
-
-    usual = WheelConfig(motor=MOTORS[index], encoder=MOTORS[index]).model_dump()
-    fields = wheel.model_dump().items()
-    changed = ", ".join(f"{key}: {value}" for key, value in fields if value != usual[key])
-    fix = f"swap the wires, or use wheels: {{{MOTORS[index]}: {{{changed}}}}}"
-    return Check(name, "warn", f"{finding}, unlike in the robot's file", fix)
-
-
 def explain_speed(letter: str, answer: WheelAnswer, config: RobotConfig) -> str:
     """Advise on a wheel that doesn't turn as commanded.
 
     A board with a speed loop drives its wheel away from the command if the loop meets the wrong
     sign, or the encoder of another wheel. No robot's file can help.
     """
-    if answer.encoders[0] != letter:
+    if answer.encoder != letter:
         return f"swap the wires, or the encoder's pins {IN_PROGRAM}"
     if answer.ratio < 0.0:
         return f"set ENCODER_REVERSED {IN_PROGRAM} (MOTOR_REVERSED, if the wheel turned backward)"
     if answer.has_stopped:
         return "check the plugs of motor and encoder, and the motor's driver"
     return likely_units(answer.ratio, config)
-
-
-def check_wiring(board: BoardExamination) -> Check | None:
-    """Compare the wiring with the robot's file. Only users can see motors and encoders apart."""
-    if board.wiring is None:
-        return None
-    # The file's wiring is the reference, and ours if there is no file.
-    is_usual = board.config.wheels == WheelsConfig()
-    unseen = "as the encoders answer" if board.seen is None else "as seen"
-    finding = describe_sides(board.wiring) or unseen
-    if board.wiring == board.config.wheels:
-        if board.seen is None and is_usual:
-            finding = "only eyes see a motor and an encoder that are swapped or reversed together"
-            return Check("wiring", "ok", finding, WATCH_ADVICE)
-        return Check(
-            "wiring", "ok", finding if is_usual else f"{finding}, as the robot's file says"
-        )
-
-    finding += "" if is_usual else ", unlike in the robot's file"
-    if board.seen is not None:
-        fix = "what was seen counts: write it into a robot's file with --out FILE"
-        return Check("wiring", "warn", finding, fix)
-    finding += "; that encoders are swapped or reversed, and not motors, is an assumption"
-    return Check("wiring", "warn", finding, WATCH_ADVICE)
-
-
-def check_delay(board: BoardExamination) -> Check:
-    """Measure the board's times, and report how long a command takes to show."""
-    # Times are measured with all wheels, which must turn as commanded.
-    is_right = all(answer.is_right for answer in board.answers.values())
-    if board.wiring is None or not is_right:
-        return Check(DELAY_CHECK, "skip", "needs wheels that turn as commanded", "fix them first")
-    if board.wiring != board.config.wheels:
-        board.changes["wheels"] = board.wiring.model_dump()
-    board.times = measure_board(board.probe, board.speed)
-    delays = board.times.delays
-    return warn_if(
-        not board.times.delay < SLOW_RESPONSE,
-        DELAY_CHECK,
-        f"{1e3 * board.times.delay:.0f} ms from a command's last byte to the first that shows it, "
-        f"the median of {len(delays)}, {1e3 * max(delays, default=math.nan):.0f} ms at most",
-        "raise the baud rate; set the USB adapter's latency timer to 1 ms",
-    )
-
-
-def check_timeout(board: BoardExamination) -> Check:
-    """Report how soon the board stops by itself."""
-    times = board.times
-    if times is None:
-        return Check(TIMEOUT_CHECK, "skip", "needs wheels that turn as commanded", "fix them first")
-    if math.isnan(times.command_timeout):
-        fix = "does the board repeat old lines, or is this computer busy? Try again"
-        return Check(TIMEOUT_CHECK, "fail", "another time at each trial", fix)
-
-    # Fields that are as configured stay as they are in the file.
-    firmware: dict[str, float | None] = {}
-    if not math.isclose(board.config.feedback_rate, times.feedback_rate, rel_tol=SAME_RATE):
-        firmware["feedback_rate"] = times.feedback_rate
-    configured = board.config.firmware.command_timeout or math.inf
-    if not math.isclose(configured, times.command_timeout, abs_tol=SAME_TIMEOUT):
-        never = math.isinf(times.command_timeout)
-        firmware["command_timeout"] = None if never else round(times.command_timeout, 2)
-    if firmware:
-        board.changes["firmware"] = firmware
-
-    if math.isinf(times.command_timeout):
-        fix = "add a command time-out to the firmware"
-        return Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix)
-    return Check(TIMEOUT_CHECK, "ok", f"{times.command_timeout:.2f} s after the last command")
-
-
-BoardCheck = Callable[[BoardExamination], Check | None]
-LISTENING: tuple[BoardCheck, ...] = (
-    check_echo,
-    check_feedback_rate,
-    check_line_format,
-    check_line_quality,
-    check_resets,
-)
-"""Checks that only command zero."""
-SPINNING: tuple[BoardCheck, ...] = (
-    check_line_end,
-    spin_wheels,
-    check_command_letters,
-    check_set_points,
-    *(partial(check_wheel, index) for index in range(4)),
-    check_wiring,
-    check_delay,
-    check_timeout,
-    check_resets,
-)
-"""Checks that turn wheels."""

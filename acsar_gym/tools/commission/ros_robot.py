@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from statistics import median
 
 from acsar_gym.config import RobotConfig
@@ -72,7 +72,49 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
             if robot.safety.reason is Reason.EMERGENCY_STOP:
                 raise EmergencyStopError  # noqa: TRY301 - closes the robot as others do
             stamps += [stamp for stamp, _ in link.arrivals]
-        yield from _report_drive(link, robot, stamps)
+
+        yield warn_if(
+            bool(link.commanders),
+            "other commanders",
+            ", ".join(link.commanders) or "none",
+            "end them, or let a twist_mux choose",
+        )
+
+        # The twin prints at the configured rate.
+        rate = round_rate(measure_rate(stamps, range(len(stamps))))
+        configured = config.feedback_rate
+        yield warn_if(
+            abs(rate - configured) > RATE_TOLERANCE * configured,
+            "feedback rate",
+            f"{rate:g} Hz, {configured:g} in the robot's file",
+            f"set firmware.feedback_rate: {rate:g}, which its twin then has as well",
+        )
+        yield warn_if(
+            bool(link.refused),
+            "refused messages",
+            link.refused or "none",
+            "correct their publisher",
+        )
+
+        # A delay below zero means that the clocks of two computers differ.
+        delay = median(link.delays)
+        by_clock = ", by /clock" if link.uses_sim_time else ""
+        yield warn_if(
+            not (by_clock or -AHEAD_FEEDBACK < delay < LATE_FEEDBACK),
+            "feedback delay",
+            f"{1e3 * delay:.1f} ms from the stamp of the wheels to their arrival here, "
+            f"{1e3 * max(link.delays):.1f} ms at most{by_clock}",
+            "is the network slow, or do the clocks of both computers differ? set them by chrony "
+            "(NTP)",
+        )
+        if robot.timing is not None:
+            late = robot.timing.lateness
+            yield warn_if(
+                late.late_share > MAX_LATE_SHARE,
+                "late ticks",
+                f"{late.late_ticks} of {late.ticks}, worst {1e3 * late.worst:.1f} ms",
+                BUSY_HINT,
+            )
     except EmergencyStopError:
         raise
     except (LinkError, ConfigError) as error:
@@ -80,48 +122,3 @@ def examine_ros(url: str, config: RobotConfig, recorder: Recorder | None = None)
         yield Check("robot", "fail", getattr(error, "found", str(error)), fix)
     finally:
         robot.close()
-
-
-def _report_drive(link: Ros2Link, robot: Robot, stamps: Sequence[float]) -> Iterator[Check]:
-    """Report commanders, feedback and late ticks while zeros were commanded."""
-    yield warn_if(
-        bool(link.commanders),
-        "other commanders",
-        ", ".join(link.commanders) or "none",
-        "end them, or let a twist_mux choose",
-    )
-
-    # The twin prints at the configured rate.
-    rate = round_rate(measure_rate(stamps, range(len(stamps))))
-    configured = robot.config.feedback_rate
-    yield warn_if(
-        abs(rate - configured) > RATE_TOLERANCE * configured,
-        "feedback rate",
-        f"{rate:g} Hz, {configured:g} in the robot's file",
-        f"set firmware.feedback_rate: {rate:g}, which its twin then has as well",
-    )
-    yield warn_if(
-        bool(link.refused),
-        "refused messages",
-        link.refused or "none",
-        "correct their publisher",
-    )
-
-    # A delay below zero means that the clocks of two computers differ.
-    delay = median(link.delays)
-    by_clock = ", by /clock" if link.uses_sim_time else ""
-    yield warn_if(
-        not (by_clock or -AHEAD_FEEDBACK < delay < LATE_FEEDBACK),
-        "feedback delay",
-        f"{1e3 * delay:.1f} ms from the stamp of the wheels to their arrival here, "
-        f"{1e3 * max(link.delays):.1f} ms at most{by_clock}",
-        "is the network slow, or do the clocks of both computers differ? set them by chrony (NTP)",
-    )
-    if robot.timing is not None:
-        late = robot.timing.lateness
-        yield warn_if(
-            late.late_share > MAX_LATE_SHARE,
-            "late ticks",
-            f"{late.late_ticks} of {late.ticks}, worst {1e3 * late.worst:.1f} ms",
-            BUSY_HINT,
-        )

@@ -37,7 +37,7 @@ class WheelAnswer(NamedTuple):
     encoders: str
     """Letters that report a turn, the fastest first. Empty if there are none."""
     ratio: float
-    """Measured by commanded speed of the first of them, with sign. 0 if there are none."""
+    """Measured by commanded speed of the fastest encoder, with sign."""
     has_stopped: bool
     """Whether the wheel stopped although the command went on. The ratio is that before."""
 
@@ -52,11 +52,16 @@ class WheelAnswer(NamedTuple):
         ratios = (fastest if has_stopped else newest) / speed
         sizes = np.abs(ratios)
 
-        # Other encoders that turn with it are crosstalk, or share a wire.
+        # Other encoders that turn with the fastest are crosstalk, or share a wire.
         threshold = max(FAINT_SHARE, MOVING_SHARE * sizes.max())
-        moving = [index for index in np.argsort(-sizes) if sizes[index] > threshold]
-        ratio = float(ratios[moving[0]]) if moving else 0.0
-        return cls("".join(MOTORS[index] for index in moving), ratio, has_stopped)
+        ranked = np.argsort(-sizes)
+        encoders = "".join(MOTORS[index] for index in ranked if sizes[index] > threshold)
+        return cls(encoders, float(ratios[ranked[0]]), has_stopped)
+
+    @property
+    def encoder(self) -> str:
+        """Letter of the fastest encoder. Empty if none turned."""
+        return self.encoders[:1]
 
     @property
     def is_right(self) -> bool:
@@ -111,7 +116,7 @@ def wire_wheel(letter: str, turned: SeenWheel, answer: WheelAnswer) -> WheelConf
     """Return the wiring of the wheel that a letter turns, and that an encoder answers to."""
     # An encoder that counts backward while its wheel turns forward is reversed.
     sign = turned.way if answer.ratio > 0.0 else -turned.way
-    return WheelConfig(motor=letter, motor_sign=turned.way, encoder=answer.encoders[0], sign=sign)
+    return WheelConfig(motor=letter, motor_sign=turned.way, encoder=answer.encoder, sign=sign)
 
 
 def infer_wiring(
@@ -123,14 +128,14 @@ def infer_wiring(
         The wiring. None unless each letter turns a wheel, and another encoder answers to each.
     """
     # A wiring needs four different encoders, else two wheels share one.
-    encoders = {answer.encoders[0] for answer in answers.values() if answer.encoders}
+    encoders = {answer.encoder for answer in answers.values()} - {""}
     if len(turned) < len(MOTORS) or len(encoders) < len(MOTORS):
         return None
     wheels = {
-        turned[letter].wheel: wire_wheel(letter, turned[letter], answer).model_dump()
+        turned[letter].wheel: wire_wheel(letter, turned[letter], answer)
         for letter, answer in answers.items()
     }
-    return WheelsConfig.model_validate(wheels)
+    return WheelsConfig(**wheels)
 
 
 def describe_sides(wiring: WheelsConfig) -> str:

@@ -91,14 +91,10 @@ class Geometry(NamedTuple):
         return cls(config.wheel_radius * mean, ratio, config.wheel_separation_multiplier)
 
     @property
-    def left(self) -> float:
-        """Radius of the left wheels [m]."""
-        return self.radius * (1.0 - self.ratio / 2.0)
-
-    @property
-    def right(self) -> float:
-        """Radius of the right wheels [m]."""
-        return self.radius * (1.0 + self.ratio / 2.0)
+    def radii(self) -> tuple[float, float]:
+        """Radii of the left and right wheels [m]."""
+        half = self.ratio / 2.0
+        return self.radius * (1.0 - half), self.radius * (1.0 + half)
 
 
 def integrate_wheels(
@@ -115,7 +111,7 @@ def integrate_wheels(
         x [m], y [m] and theta [rad] in the frame of the start, with full turns included.
     """
     # The way of each side in each step, and what the robot turned by their difference.
-    moved = np.diff(wheels, axis=0, prepend=0.0) * (geometry.left, geometry.right)
+    moved = np.diff(wheels, axis=0, prepend=0.0) * geometry.radii
     way = (moved[:, 0] + moved[:, 1]) / 2.0
     turned = (moved[:, 1] - moved[:, 0]) / (separation * geometry.multiplier)
 
@@ -162,11 +158,9 @@ def side_angles(wheels: Floats) -> Floats:
 
 def hash_runs(runs: Sequence[CalibrationRun]) -> str:
     """Return the first 16 hex digits of the SHA-256 of runs and their readings."""
-    digest = hashlib.sha256()
-    for run in runs:
-        # Rounded, so that another computer finds the same hash.
-        digest.update(np.round(run.wheels, 6).tobytes() + repr(run.readings).encode())
-    return digest.hexdigest()[:16]
+    # Rounded, so that another computer finds the same hash.
+    pieces = [np.round(run.wheels, 6).tobytes() + repr(run.readings).encode() for run in runs]
+    return hashlib.sha256(b"".join(pieces)).hexdigest()[:16]
 
 
 def read_recorded_runs(path: Path, manoeuvre: str, config: RobotConfig) -> list[CalibrationRun]:

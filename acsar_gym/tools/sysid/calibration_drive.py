@@ -144,8 +144,8 @@ def find_needed_space(plans: Sequence[RunPlan], config: RobotConfig) -> tuple[fl
 
 def check_space(
     plans: Sequence[RunPlan], config: RobotConfig, space: tuple[float, float] | None
-) -> None:
-    """Raise ConfigError if the stated space is missing, or too small for the runs."""
+) -> tuple[float, float]:
+    """Return the stated space. Raises ConfigError if it is missing, or too small for the runs."""
     ahead, aside = find_needed_space(plans, config)
     needed = f"{ahead + 0.005:.2f} {aside + 0.005:.2f}"
     # A real robot needs a floor that the user has checked.
@@ -154,12 +154,14 @@ def check_space(
             "--space is missing: say how much floor is free ahead and to each side; this needs "
             f"--space {needed}"
         )
+
     if not (space[0] >= ahead - 1e-9 and space[1] >= aside - 1e-9):
         raise ConfigError(
             f"--space {space[0]:g} {space[1]:g}: too small: this needs --space {needed} ahead of "
             "the robot's centre and to each side, itself included: clear more floor, or drive less "
             "(--distance, --radii)"
         )
+    return space
 
 
 def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -> Geofence:
@@ -172,14 +174,13 @@ def make_fence(config: RobotConfig, plan: RunPlan, space: tuple[float, float]) -
             shorter of the two is taken. A run that goes backward starts at its far end.
     """
     # The fence is for the robot's centre.
-    reach = footprint_radius(config)
-    x = space[0] - reach
-    y = space[1] - reach
-    behind = min(x, y)
+    ahead, aside = (free - footprint_radius(config) for free in space)
+    ends = (-min(ahead, aside), ahead)
+
     # The way back starts at the far end, so that the free floor is behind.
     if plan.back:
-        return Geofence(min_x=-x, max_x=behind, min_y=-y, max_y=y)
-    return Geofence(min_x=-behind, max_x=x, min_y=-y, max_y=y)
+        ends = (-ahead, min(ahead, aside))
+    return Geofence(min_x=ends[0], max_x=ends[1], min_y=-aside, max_y=aside)
 
 
 def drive_plans(
@@ -211,20 +212,19 @@ def drive_plans(
         ConfigError: The space is too small or not stated.
         LinkError: The robot can't be driven, or was stopped.
     """
-    # A simulated floor has no edge, but a plan that doesn't fit is still an error.
-    simulated = robot.link.truth is not None
-    if space is not None or not simulated:
-        check_space(plans, robot.config, space)
-    free = space or find_needed_space(plans, robot.config)
+    # A simulated floor has no edge, and a robot that starts each run at the origin needn't drive
+    # back. But a plan that doesn't fit is still an error.
+    if robot.link.truth is not None:
+        plans = [replace(plan, back=False) for plan in plans]
+        space = space or find_needed_space(plans, robot.config)
+    space = check_space(plans, robot.config, space)
 
     try:
-        for planned in plans:
-            # A simulated robot starts each run at the origin, so that it needn't drive back.
-            plan = replace(planned, back=planned.back and not simulated)
+        for plan in plans:
             announce(plan)
             if recorder is not None:
                 recorder.describe({"run": plan.name, "manoeuvre": plan.manoeuvre})
-            robot.safety.fence(make_fence(robot.config, plan, free))
+            robot.safety.fence(make_fence(robot.config, plan, space))
             runs.append(drive_run(robot, plan, reads_truth=reads_truth))
     finally:
         robot.close()

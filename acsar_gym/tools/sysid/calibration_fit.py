@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from operator import attrgetter
 from statistics import fmean
 from typing import Any, NamedTuple
 
@@ -76,8 +76,7 @@ MULTIPLIER_FIELD = "wheel_separation_multiplier"
 TURN_FACTOR_FIELD = "body.turn_factor"
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class GeometryFit:
+class GeometryFit(NamedTuple):
     """Result of a fit."""
 
     geometry: Geometry
@@ -123,11 +122,11 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
     def solve(prior: Floats) -> tuple[Floats, Floats]:
         """Return the solution, and the precision that the readings alone give it."""
 
-        def residuals_with_prior(x: Floats) -> Floats:
+        def weighted(x: Floats) -> Floats:
             return np.append(residuals(x), (x - centre) / prior)
 
         solution: Any = optimize.least_squares(
-            residuals_with_prior,
+            weighted,
             centre,
             x_scale=PRIOR,
             loss="soft_l1",
@@ -137,12 +136,8 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
         jacobian = solution.jac[: len(measured)]
         return solution.x, jacobian.T @ jacobian
 
-    def spread(precision: Floats, prior: Floats) -> Floats:
-        """Return the standard deviation of each parameter."""
-        return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + np.diag(prior**-2.0)))))
-
     # Parameters that the readings don't narrow are held. The others are left to the readings.
-    is_narrowed = spread(solve(PRIOR)[1], PRIOR) < NARROWED_SHARE * PRIOR
+    is_narrowed = _find_spread(solve(PRIOR)[1], PRIOR) < NARROWED_SHARE * PRIOR
     if not is_narrowed.any():
         raise ConfigError(
             "the readings tell neither radius nor multiplier: drive farther, or measure finer"
@@ -154,15 +149,20 @@ def fit_geometry(runs: Sequence[CalibrationRun], config: RobotConfig) -> Geometr
     rms = math.sqrt(float(off @ off) / freedom)
 
     # If residuals exceed their scales, something else moves the robot, in all runs perhaps alike.
-    deviation = spread(precision, np.where(is_narrowed, PRIOR, _known_spread(config)))
+    spread = _find_spread(precision, np.where(is_narrowed, PRIOR, _known_spread(config)))
     excess = max(0.0, rms - 1.0)
     narrowed = {}
-    for index in np.flatnonzero(is_narrowed).tolist():
-        name, parameter = list(PARAMETERS.items())[index]
-        systematic = parameter.systematic + parameter.unmodelled * excess
-        half = NORMAL_QUANTILE * math.hypot((1.0 + excess) * deviation[index], systematic)
-        narrowed[name] = Estimate.around(*(np.array([x[index], half]) * units[index]).tolist())
+    for index, (name, parameter) in enumerate(PARAMETERS.items()):
+        if is_narrowed[index]:
+            systematic = parameter.systematic + parameter.unmodelled * excess
+            half = NORMAL_QUANTILE * math.hypot((1.0 + excess) * spread[index], systematic)
+            narrowed[name] = Estimate.around(*(np.array([x[index], half]) * units[index]).tolist())
     return GeometryFit(Geometry(*(x * units).tolist()), narrowed, used, rms)
+
+
+def _find_spread(precision: Floats, prior: Floats) -> Floats:
+    """Return the standard deviation of each parameter, by the readings and the prior."""
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision + np.diag(prior**-2.0)))))
 
 
 def _known_spread(config: RobotConfig) -> Floats:
@@ -232,10 +232,9 @@ def make_calibrated_config(
     if in_ros:
         error = 1.0
         if "wheel_radius" in fields and config.ros2.command != "wheel_speeds":
-            gain = config.motor.gain
-            error = fmean(gain) if isinstance(gain, tuple) else gain
-            divided = tuple(wheel / error for wheel in gain) if isinstance(gain, tuple) else 1.0
-            changes["motor"] = {"gain": divided}
+            gain = np.asarray(config.motor.gain)  # of all wheels, or of each
+            error = fmean(gain.ravel())
+            changes["motor"] = {"gain": (gain / error).tolist()}
             for name, interval in config.measured.items():
                 if name.startswith("motor.gain"):
                     limits = {"low": interval.low / error, "high": interval.high / error}
@@ -246,21 +245,20 @@ def make_calibrated_config(
     return config.with_(**changes, measured=update_measured(config.measured, measured))
 
 
-def _make_table(title: str, name: str, columns: str) -> Table:
-    """Return a table whose columns (a comma-separated list) are numbers, but for the first."""
-    numbers = (Column(column, justify="right") for column in columns.split(", "))
-    return Table(name, *numbers, title=title, title_justify="left")
+def _make_table(title: str, name: str, numbers: Sequence[str]) -> Table:
+    """Return a table whose columns are numbers, but for the first."""
+    columns = (Column(number, justify="right") for number in numbers)
+    return Table(name, *columns, title=title, title_justify="left")
 
 
 def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
     """Return the fitted fields with their intervals, next to the config's values."""
     title = "Calibrated, with 95 % intervals"
-    table = _make_table(title, "field", "config, found, low, high")
+    table = _make_table(title, "field", ("config", "found", "low", "high"))
 
     for name, interval in fitted_fields(fit, config).items():
         # The turn factor is a field of the body, which a robot's file may lack.
-        is_tyre = name == TURN_FACTOR_FIELD
-        configured = config.body.turn_factor if is_tyre else getattr(config, name)
+        configured = attrgetter(name)(config)
         numbers = ("-" if number is None else f"{number:.5f}" for number in (configured, *interval))
         table.add_row(f"{name} [m]" if name == "wheel_radius" else name, *numbers)
 
@@ -279,20 +277,17 @@ def calibration_table(fit: GeometryFit, config: RobotConfig) -> Table:
 
 def runs_table(fit: GeometryFit, config: RobotConfig) -> Table:
     """Return every run's readings next to odometry, with the config's and the fitted geometry."""
-    table = _make_table("Runs", "run", "measured, odometry before, after, off by")
-    separation = config.wheel_separation
-
+    table = _make_table("Runs", "run", ("measured", "odometry before", "after", "off by"))
     for run in fit.runs:
-        configured, _ = predict_readings(run, Geometry.of(config), separation)
-        fitted = zip(*predict_readings(run, fit.geometry, separation), strict=True)
         name = escape_text(run.name)
-        for reading, guess, (value, sigma) in zip(run.readings, configured, fitted, strict=True):
-            off = reading.value - value
-            cells = [reading.format(number) for number in (reading.value, guess, value, off)]
-            if abs(off) > 4.0 * sigma:
-                cells[3] += " !"
-                table.caption = "! off by more than 4 times what its scale allows"
-            table.add_row(name, f"{reading.kind} {cells[0]}", *cells[1:])
+        predictions = (
+            predict_readings(run, geometry, config.wheel_separation)[0]
+            for geometry in (Geometry.of(config), fit.geometry)
+        )
+        for reading, configured, fitted in zip(run.readings, *predictions, strict=True):
+            numbers = (reading.value, configured, fitted, reading.value - fitted)
+            measured, *odometry = map(reading.format, numbers)
+            table.add_row(name, f"{reading.kind} {measured}", *odometry)
             name = ""  # further readings of the run
     return table
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +49,11 @@ class Parameter(NamedTuple):
     """Whether the prior's mean is the value of the robot's file."""
     manoeuvre: str = "sudden changes of 4 rad/s or more, each held for 0.3 s"
     """What narrows it."""
+
+    @property
+    def missing_note(self) -> str:
+        """Why it is kept if a log doesn't narrow it."""
+        return f"not narrowed by this log: drive {self.manoeuvre}"
 
     def to_fit(self, value: float) -> float:
         """Turn a value into the number that is fitted."""
@@ -224,11 +228,13 @@ class FitProblem:
             values += (motor.time_constant, motor.gain, 1.0 / motor.acceleration, motor.deadband)
         board = config.firmware
         values += (board.command_delay, config.encoder.window, board.command_timeout or NO_TIMEOUT)
-        self.configured = np.array(
-            [row.to_fit(value) for row, value in zip(self.rows, values, strict=True)]
-        )
-        usual = [row.to_fit(row.mean) for row in self.rows]
+        self.configured = self.join(values)
+        usual = self.join([row.mean for row in self.rows])
         self.prior = np.where([row.is_configured for row in self.rows], self.configured, usual)
+
+    def join(self, values: Sequence[float]) -> Floats:
+        """Make a parameter vector of the values of all parameters."""
+        return np.array([row.to_fit(value) for row, value in zip(self.rows, values, strict=True)])
 
     def split(self, x: Floats) -> tuple[list[WheelModel], BoardModel]:
         """Name the numbers of a parameter vector."""
@@ -236,15 +242,12 @@ class FitProblem:
         wheels = np.reshape(values[:DELAY], (-1, len(WHEEL_PARAMETERS))).tolist()
         return [WheelModel(*wheel) for wheel in wheels], BoardModel(*values[DELAY:])
 
-    def wheel_residuals(self, wheel: int, model: WheelModel, times: BoardModel) -> Floats:
-        """Return the errors of a wheel's answer on all lines [rad/s]."""
-        return np.asarray(self.responder.answers(wheel, model, times) - self.printed[wheel])
-
     def residuals(self, x: Floats) -> Floats:
         """Return the errors of all lines, (wheels, lines) [rad/s]."""
         models, times = self.split(x)
         pairs = zip(self.wheels, models, strict=True)
-        return np.array([self.wheel_residuals(wheel, model, times) for wheel, model in pairs])
+        answers = [self.responder.answers(wheel, model, times) for wheel, model in pairs]
+        return np.asarray(np.array(answers) - self.printed[self.wheels])
 
     def jacobian(self, x: Floats, base: Floats) -> Floats:
         """Return the derivatives of these residuals, (wheels, lines, parameters)."""
@@ -256,8 +259,8 @@ class FitProblem:
             for p in (*range(k * width, (k + 1) * width), DELAY, WINDOW, TIMEOUT):
                 step = self.rows[p].step
                 models, times = self.split(_with(x, p, x[p] + step))
-                moved = self.wheel_residuals(wheel, models[k], times)
-                columns[k, :, p] = (moved - base[k]) / step
+                answer = self.responder.answers(wheel, models[k], times)
+                columns[k, :, p] = (answer - self.printed[wheel] - base[k]) / step
         return columns
 
     def cost(self, x: Floats) -> float:
@@ -274,8 +277,7 @@ class FitProblem:
         return np.concatenate(numbers[1:])
 
 
-@dataclass(frozen=True, eq=False)
-class MotorFit:
+class MotorFit(NamedTuple):
     """What was fitted of wheels and board."""
 
     problem: FitProblem
@@ -377,20 +379,16 @@ def _with(x: Floats, place: int, value: float) -> Floats:
 def _search_start(problem: FitProblem) -> Floats:
     """Search delay, lags and deadbands on a grid, then the time-out."""
     # Delay and lag explain the same lines, so that both are searched together.
-    width = len(WHEEL_PARAMETERS)
-    best = math.inf
-    chosen = problem.prior
+    starts = []
     for delay in SEARCHED_DELAYS.tolist():
         x = _with(_with(problem.prior, TIMEOUT, NO_TIMEOUT), DELAY, delay)
         models, times = problem.split(x)
-        wheels = [_search_wheel(problem, k, model, times) for k, model in enumerate(models)]
-        for k, (_, model) in enumerate(wheels):
-            x[k * width : (k + 1) * width] = [
-                row.to_fit(value) for row, value in zip(WHEEL_PARAMETERS, model, strict=True)
-            ]
-        if (cost := sum(cost for cost, _ in wheels)) < best:
-            best = cost
-            chosen = x
+        costs, wheels = zip(
+            *(_search_wheel(problem, k, model, times) for k, model in enumerate(models)),
+            strict=True,
+        )
+        starts.append((sum(costs), problem.join([*itertools.chain(*wheels), *times])))
+    _, chosen = min(starts, key=lambda start: start[0])
 
     # Least squares doesn't find a time-out from far away, as it changes few lines.
     longest = max(track.longest_pause for track in problem.tracks)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from acsar_gym.config import Measured, RobotConfig, update_measured
 from acsar_gym.config.robot import MISFIT
@@ -37,9 +37,6 @@ from acsar_gym.tools.sysid.fit import (
 )
 from acsar_gym.tools.sysid.tracks import check_same_robot
 
-IDENTIFY_METHOD = "identify"
-FITS = "fits"
-"""Verdict on a model that fits. Otherwise it is `MISFIT` and the error."""
 SHORTEST_LOG = 5.0
 """Shortest log of which a part can be held out [s]."""
 NORMAL_QUANTILE = 1.96
@@ -126,7 +123,7 @@ class HeldOutErrors(NamedTuple):
     """Error of the wheel speeds on the part of the log that the fit didn't see, RMS [rad/s]."""
 
     before: float
-    """Error of the robot as configured."""
+    """Error of the robot as configured, for the wheel that fits worst then."""
     after: float
     """Error of the robot as fitted, for the wheel that fits worst."""
     noise: float
@@ -146,7 +143,7 @@ class Identification:
 
     Attributes:
         config: Robot as it was configured.
-        findings: Findings, one for each parameter.
+        findings: Findings, one for each parameter. The last is the step of printed speeds.
         held_out: Validation. None if nothing was fitted.
         delays: Quantiles of delays of single steps, on top of the fitted delay [s].
         duration: Length of the logs [s].
@@ -167,9 +164,9 @@ class Identification:
         """In which way the model doesn't describe the board. Empty if it does."""
         # A gain that is far off is a wrong unit, whatever the error is.
         for finding in self.findings:
-            if finding.name != "motor.gain" or not (finding.value and finding.before):
-                continue
-            ratio = finding.value / finding.before
+            ratio = 1.0
+            if finding.name == "motor.gain" and finding.value and finding.before:
+                ratio = finding.value / finding.before
             if not LOWEST_RATIO <= ratio <= HIGHEST_RATIO:
                 wheels = f"wheel {finding.wheel}" if finding.wheel else "every wheel"
                 units = likely_units(ratio, self.config)
@@ -182,7 +179,7 @@ class Identification:
     @property
     def verdict(self) -> str:
         """Whether the model fits, as the robot's file states it."""
-        return MISFIT + self.misfit if self.misfit else FITS
+        return MISFIT + self.misfit if self.misfit else "fits"
 
     def check(self, *, anyway: bool = False) -> None:
         """Check that this is worth a robot's file.
@@ -224,7 +221,7 @@ class Identification:
                 continue
             name = finding.name
             section, field = name.split(".")
-            value = None if finding.value is None else round_digits(finding.value)
+            value, low, high = map(_round_digits, (finding.value, finding.low, finding.high))
             if finding.wheel:
                 name += f".{finding.wheel}"
                 four = [getattr(self.config.motor.of_wheel(wheel), field) for wheel in range(4)]
@@ -233,19 +230,14 @@ class Identification:
                 changes[section][field] = value
 
             measured[name] = None
-            if finding.low is not None and finding.high is not None and not self.misfit:
-                low = round_digits(finding.low)
-                high = round_digits(finding.high)
-                measured[name] = Measured(
-                    low=low, high=high, method=IDENTIFY_METHOD, logs=self.logs
-                )
+            if low is not None and high is not None and not self.misfit:
+                interval = Measured(low=low, high=high, method="identify", logs=self.logs)
+                measured[name] = interval
 
         # Encoder counts that are coarser than the printed numbers would blur the twin's.
         encoder = self.config.encoder.model_copy(update=changes["encoder"])
-        quantum = next(
-            (finding.value for finding in self.findings if finding.name == QUANTUM_NAME), None
-        )
-        if self.held_out and quantum and count_speed(encoder) >= 2.0 * quantum:
+        quantum = self.findings[-1].value
+        if self.held_out and quantum and _count_speed(encoder) >= 2.0 * quantum:
             counts = math.ceil(2.0 * math.pi / (COUNT_SHARE * quantum * encoder.window))
             changes["encoder"]["counts_per_revolution"] = min(counts, 10_000_000)
             measured["encoder.counts_per_revolution"] = None
@@ -253,8 +245,9 @@ class Identification:
             changes["firmware"]["delay_samples"] = self.delays
         if self.held_out:
             changes |= {"motor_fit": self.verdict, "motor_fit_logs": self.logs}
-        intervals = update_measured(self.config.measured, measured)
-        return self.config.with_(**changes, measured=intervals)
+        return self.config.with_(
+            **changes, measured=update_measured(self.config.measured, measured)
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Format for JSON."""
@@ -298,9 +291,10 @@ def identify_device(
 ) -> Identification:
     """Drive the manoeuvre, and identify the robot from it. Errors as for `drive_excitation`."""
     log = drive_excitation(link, config, duration, recorder)
+    hashes = []
     if recorder is not None and recorder.path is not None and not recorder.problem:
-        return identify_logs([log], config, [read(recorder.path).sha256])
-    return identify_logs([log], config)
+        hashes = [read(recorder.path).sha256]
+    return identify_logs([log], config, hashes)
 
 
 def identify_logs(
@@ -331,8 +325,8 @@ def identify_logs(
     missing = f"{duration:.1f} s of log: needs {SHORTEST_LOG:g} s or more"
     if duration >= SHORTEST_LOG:
         missing = ""
-    if turning and not missing:
-        fit = fit_tracks(tracks, turning, config, quantum.value if quantum else 0.0)
+        if turning:
+            fit = fit_tracks(tracks, turning, config, quantum.value if quantum else 0.0)
     times = _find_times(fit, config, missing)
     return Identification(
         config=config,
@@ -342,8 +336,8 @@ def identify_logs(
             _find_rate(tracks, config),
             _find_quantum(quantum, config),
         ),
-        held_out=None if fit is None else _validate(fit),
-        delays=sample_delays(fit) if fit is not None and times[0].told else (),
+        held_out=_validate(fit) if fit else None,
+        delays=sample_delays(fit) if fit and times[0].told else (),
         duration=duration,
         logs=tuple(hashes),
         dead=tuple(name for wheel, name in enumerate(WHEELS) if wheel not in turning),
@@ -395,8 +389,9 @@ def estimate_noise(fit: MotorFit) -> Floats:
     return np.asarray(np.hypot(blur, np.maximum(scatter, rounding)))
 
 
-def _estimate(fit: MotorFit, row: Parameter, place: int) -> Estimate | None:
+def _estimate(fit: MotorFit, place: int) -> Estimate | None:
     """Return a fitted number, or its logarithm. None if the log doesn't narrow its interval."""
+    row = fit.problem.rows[place]
     value = float(fit.x[place])
     sigma = math.sqrt(float(fit.spread[place, place]))
     half = max(row.resolution, NORMAL_QUANTILE * INTERVAL_FACTOR * sigma) + float(fit.slack[place])
@@ -412,21 +407,17 @@ def _estimate(fit: MotorFit, row: Parameter, place: int) -> Estimate | None:
     return Estimate(value, low, high) if is_narrow and row.from_fit(value) < row.bounds[1] else None
 
 
-def _explain_missing(row: Parameter) -> str:
-    return f"not narrowed by this log: drive {row.manoeuvre}"
-
-
 def _find_wheels(
     fit: MotorFit | None, config: RobotConfig, turning: Sequence[int], missing: str
 ) -> Iterator[ParameterFinding]:
     """Yield findings of the four motors, or a common finding if the wheels' intervals agree."""
     for column, row in enumerate(WHEEL_PARAMETERS):
-        estimates: dict[int, Estimate] = {}
-        for k, wheel in enumerate(turning if fit else ()):
-            estimate = _estimate(fit, row, k * len(WHEEL_PARAMETERS) + column) if fit else None
-            if estimate is not None:
-                estimates[wheel] = estimate
-
+        places = range(column, len(turning) * len(WHEEL_PARAMETERS), len(WHEEL_PARAMETERS))
+        estimates = {
+            wheel: estimate
+            for wheel, place in zip(turning, places, strict=True)
+            if fit and (estimate := _estimate(fit, place))
+        }
         # Wheels that can't be told apart get the same number.
         if len(estimates) == len(WHEELS):
             estimates = _merge(estimates)
@@ -435,7 +426,7 @@ def _find_wheels(
         for wheel, letter in enumerate(MOTORS):
             motor = config.motor.of_wheel(wheel)
             configured = float(getattr(motor, row.name.removeprefix("motor.")))
-            note = (missing or _explain_missing(row)) if wheel in turning else NEVER_TURNED
+            note = (missing or row.missing_note) if wheel in turning else NEVER_TURNED
             finding = ParameterFinding(row.name, letter, before=configured, note=note)
             if wheel in estimates:
                 finding = _tell_wheel(finding, row, estimates[wheel])
@@ -474,28 +465,27 @@ def _find_times(fit: MotorFit | None, config: RobotConfig, missing: str) -> list
     averages = config.encoder.window
     configured = (board.command_delay, averages, board.command_timeout)
     delay, window, timeout = (
-        ParameterFinding(row.name, before=value, note=missing or _explain_missing(row))
+        ParameterFinding(row.name, before=value, note=missing or row.missing_note)
         for row, value in zip(BOARD_PARAMETERS, configured, strict=True)
     )
     if fit is None:
         return [delay, window, timeout]
-    estimates = [_estimate(fit, BOARD_PARAMETERS[place], place) for place in (DELAY, WINDOW)]
+    delayed, averaging, ended = (_estimate(fit, place) for place in (DELAY, WINDOW, TIMEOUT))
     fitted = fit.problem.split(fit.x)[1]
     dt = fit.problem.responder.dt
 
     # The twin averages over whole loops, and as configured if that is hardly another time. If the
     # configured time can't be true, any is better.
-    averaging = estimates[1]
     if averaging is None and fitted.delay + (fitted.window - averages) / 2.0 < -dt:
         widest = 2.0 * fitted.window + BOARD_PARAMETERS[WINDOW].resolution
         averaging = Estimate(fitted.window, 0.0, widest)
-    if averaging is not None:
+    if averaging:
         if abs(averages - fitted.window) > SAME_WINDOW:
             averages = max(1, round(fitted.window / dt)) * dt
         window = window.tell(Estimate(averages, max(1e-3, averaging.low), averaging.high))
 
     # What is best known is the delay to the middle of the window.
-    if (delayed := estimates[0]) is not None:
+    if delayed:
         value = max(0.0, delayed.value + (fitted.window - averages) / 2.0)
         interval = (max(0.0, min(value, delayed.low)), max(value, delayed.high))
         in_ros = all(track.in_ros for track in fit.problem.tracks)
@@ -505,7 +495,7 @@ def _find_times(fit: MotorFit | None, config: RobotConfig, missing: str) -> list
     # A board looks once a loop whether its time-out has passed.
     longest = max(track.longest_pause for track in fit.problem.tracks)
     if fitted.timeout < longest - board_log.PAUSE_GAP / 2.0:
-        if (ended := _estimate(fit, BOARD_PARAMETERS[TIMEOUT], TIMEOUT)) is not None:
+        if ended:
             timeout = timeout.tell(Estimate(*(end - dt / 2.0 for end in ended)))
     elif longest >= LONG_PAUSE:
         note = f"none: the wheels kept turning for {longest:.1f} s without commands"
@@ -522,8 +512,7 @@ def _find_rate(tracks: Sequence[BoardTrack], config: RobotConfig) -> ParameterFi
     rate = float(np.average(rates, weights=[len(track.stamps) for track in tracks]))
     if not 0.0 < rate <= config.firmware.loop_rate:
         return replace(finding, note=f"{rate:.0f} Hz, unlike any that a twin has")
-    half = LEAST_RATE_SHARE * rate
-    return finding.tell(Estimate(rate, rate - half, rate + half))
+    return finding.tell(Estimate.around(rate, LEAST_RATE_SHARE * rate))
 
 
 def _find_quantum(quantum: Estimate | None, config: RobotConfig) -> ParameterFinding:
@@ -533,13 +522,13 @@ def _find_quantum(quantum: Estimate | None, config: RobotConfig) -> ParameterFin
         return replace(finding, note="too few different speeds: drive slowly and fast")
     note = "finer than the two decimals of a line show"
     if quantum.low > 0.0:
-        if abs(quantum.value / count_speed(config.encoder) - 1.0) > SAME_STEP:
+        if abs(quantum.value / _count_speed(config.encoder) - 1.0) > SAME_STEP:
             return finding.tell(quantum)
         note = "whole encoder counts, as configured"
     return replace(finding, **quantum._asdict(), note=note)
 
 
-def count_speed(encoder: EncoderConfig) -> float:
+def _count_speed(encoder: EncoderConfig) -> float:
     """Return the speed of an encoder count in an averaging window [rad/s]."""
     return 2.0 * math.pi / (encoder.counts_per_revolution * encoder.window)
 
@@ -561,24 +550,28 @@ def sample_delays(fit: MotorFit) -> tuple[float, ...]:
     return tuple(round(float(delay), 5) for delay in np.maximum(0.0, extra))
 
 
-def round_digits(value: float) -> float:
+def _round_digits(value: float | None) -> float | None:
     """Round to four significant digits, for a file."""
-    return float(f"{value:.4g}")
+    return None if value is None else float(f"{value:.4g}")
 
 
 def identification_table(identification: Identification) -> Table:
     """Draw the findings. A parameter that wasn't found is kept, and a note gives the reason."""
     caption = f"{identification.duration:.1f} s of log"
-    if (errors := identification.held_out) is not None:
+    if errors := identification.held_out:
         caption += (
             f"; wheel speeds on the {errors.share:.0%} that the fit didn't see: "
             f"{errors.after:.3f} rad/s RMS, where the noise is {errors.noise:.3f}; "
             f"{errors.before:.3f} as configured before\nthe model {identification.verdict}"
         )
-    table = Table(title="acsar-gym identify", title_justify="left", caption=caption)
-    table.caption_justify = "left"
-    for column in ("parameter", "wheel", "value", "95 % interval", "before", "note"):
-        table.add_column(column, overflow="fold")
+    names = ("parameter", "wheel", "value", "95 % interval", "before", "note")
+    table = Table(
+        *(Column(name, overflow="fold") for name in names),
+        title="acsar-gym identify",
+        title_justify="left",
+        caption=caption,
+        caption_justify="left",
+    )
 
     for finding in identification.findings:
         # Numbers have the unit of the table, not that of the file.
@@ -591,8 +584,7 @@ def identification_table(identification: Identification) -> Table:
             value = "none" if finding.told else "kept"
             interval = ""
         wheel = finding.wheel or ("all" if finding.name.startswith("motor.") else "")
-        cells = (value, interval, configured, finding.note)
-        table.add_row(finding.name, wheel, *cells)
+        table.add_row(finding.name, wheel, value, interval, *(configured, finding.note))
     return table
 
 

@@ -9,7 +9,8 @@ clock, and it is smooth in delay and window.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -133,7 +134,7 @@ def simulate_speeds(
     return speeds
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Responder:
     """Computes how the wheels of a model answer to the commands of tracks."""
 
@@ -143,8 +144,10 @@ class Responder:
     top: float
     """Largest speed of a wheel [rad/s]."""
     rounding: Rounding
-    kept: dict[tuple[int, float, float], tuple[Floats, LoopCommands]] = field(default_factory=dict)
-    """Commands in the loops, for the newest tracks, delays and time-outs."""
+
+    def __post_init__(self) -> None:
+        """Keep the newest commands: derivatives use the same delays and time-outs repeatedly."""
+        self._commands = lru_cache(KEPT_COMMANDS)(self._find_commands)
 
     def answers(self, wheel: int, model: WheelModel, times: BoardModel) -> Floats:
         """Return the speeds of one wheel that all lines of all tracks should show [rad/s]."""
@@ -154,7 +157,7 @@ class Responder:
 
     def _answer(self, place: int, wheel: int, model: WheelModel, times: BoardModel) -> Floats:
         # The twin's own loop, with the parameters that are tried.
-        edges, (older, newer, share) = self._commands(place, times)
+        edges, (older, newer, share) = self._commands(place, times.delay, times.timeout)
         speeds = simulate_speeds(
             (older[wheel], newer[wheel], share),
             step=self.dt / model.slowness if model.slowness > 0.0 else np.inf,
@@ -172,20 +175,15 @@ class Responder:
         turned = np.interp(stamps, ends, angles) - np.interp(stamps - times.window, ends, angles)
         return self.rounding.apply(turned / times.window)
 
-    def _commands(self, place: int, times: BoardModel) -> tuple[Floats, LoopCommands]:
+    def _find_commands(
+        self, place: int, delay: float, timeout: float
+    ) -> tuple[Floats, LoopCommands]:
         """Return the edges of a track's loops, and the commands of the wheels in them."""
-        key = (place, times.delay, times.timeout)
-        if key in self.kept:
-            return self.kept[key]
-
-        # Derivatives use the same delays and time-outs again and again.
-        if len(self.kept) >= KEPT_COMMANDS:
-            self.kept.clear()
         track = self.tracks[place]
         edges = track.loop_edges(self.dt)
         # A time-out acts as a command of zero.
-        arrivals, commands = track.apply_timeout(times.timeout)
-        stamps = arrivals + times.delay
+        arrivals, commands = track.apply_timeout(timeout)
+        stamps = arrivals + delay
 
         # A loop starts anywhere within half a period around its edge.
         dt = edges[1] - edges[0]
@@ -196,5 +194,4 @@ class Responder:
         older = np.zeros_like(newer)
         older[:, 1:] = newer[:, :-1]
         share = np.clip((latest - stamps[np.maximum(newest, 0)]) / dt, 0.0, 1.0)
-        self.kept[key] = edges, (older, newer, share)
-        return self.kept[key]
+        return edges, (older, newer, share)

@@ -49,6 +49,11 @@ class EpisodeTrack(NamedTuple):
     truth: Floats
     """(n, 3) true pose, also from the origin on. NaN on hardware."""
 
+    @property
+    def has_truth(self) -> bool:
+        """Whether all true poses are known."""
+        return bool(np.isfinite(self.truth).all())
+
 
 def find_difference(config: RobotConfig, reference: RobotConfig) -> tuple[str, str, str] | None:
     """Return the first field in which two robots differ, and both values. None if they don't."""
@@ -87,7 +92,7 @@ def make_recorded_track(episode: Episode, config: RobotConfig) -> EpisodeTrack:
 
 
 def make_twin_track(
-    episode: Episode, config: RobotConfig, *, twin: RobotConfig, body: str
+    episode: Episode, config: RobotConfig, twin: RobotConfig, body: str
 ) -> EpisodeTrack:
     """Make the track of a twin that gets the recorded commands, with odometry by `config`."""
     wire, poses = replay_commands(twin, episode.wire, episode.stamps, body=body)
@@ -163,7 +168,7 @@ def replay_commands(
 
     Args:
         config: Robot configuration of the twin.
-        log: The recorded bytes.
+        log: The recorded bytes, with a command or more.
         ticks: Times at which the pose is wanted, (n,) [s].
         body: Name of the twin's body.
 
@@ -172,10 +177,8 @@ def replay_commands(
         (n, 3): x [m], y [m], theta [rad, unwrapped].
 
     Raises:
-        ConfigError: The log holds no commands, or the body is unknown.
+        ConfigError: The body is unknown.
     """
-    if not len(log.sent_stamps):
-        raise ConfigError("the log holds no commands to replay")
     robot = make_body(body, config)
     try:
         firmware = Firmware(config, robot)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
+from rich.table import Column, Table
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Episode, Floats, Recording
-from acsar_gym.tools.evaluation.metrics import Interval, bootstrap_interval, replace_nonfinite
+from acsar_gym.tools.evaluation.metrics import bootstrap_interval, replace_nonfinite
 from acsar_gym.tools.evaluation.report import escape_text
 from acsar_gym.tools.sysid.board_log import resend_twists
 from acsar_gym.tools.sysid.tracks import (
@@ -50,6 +50,13 @@ class GapMetric(NamedTuple):
     rms: bool = False
     """Whether it is pooled as a root mean square. Otherwise it is a mean of sizes."""
 
+    def format(self, value: float) -> str:
+        """Format a value in SI units with three digits. "-" for NaN."""
+        if math.isnan(value):
+            return "-"
+        scaled = value * self.scale
+        return "0" if abs(scaled) < 1e-6 else f"{scaled:.3g}"
+
 
 GAP_METRICS = {
     "wheel_speed_rms": GapMetric("wheel speeds, RMS", "rad/s", rms=True),
@@ -79,12 +86,10 @@ def measure_figures(recorded: EpisodeTrack, twin: EpisodeTrack) -> GapFigures:
     """
     # Both sides have odometry by the same geometry, and perhaps true poses.
     drift = recorded.odometry - twin.odometry
-    off = recorded.truth - twin.truth if np.isfinite(recorded.truth).all() else drift
+    off = recorded.truth - twin.truth if recorded.has_truth else drift
     twists = recorded.twists - interpolate(recorded.stamps, twin.stamps, twin.twists)
-    speeds = recorded.speeds - interpolate(recorded.stamps, twin.stamps, twin.speeds)
-
     return {
-        "wheel_speed_rms": _rms(speeds),
+        "wheel_speed_rms": _measure_speed_gap(recorded, twin),
         "linear_rms": _rms(twists[:, 0]),
         "angular_rms": _rms(twists[:, 1]),
         "yaw_rms": _rms(off[:, 2]),
@@ -99,6 +104,12 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+def _measure_speed_gap(recorded: EpisodeTrack, twin: EpisodeTrack, shift: float = 0.0) -> float:
+    """Return the RMS difference of the wheel speeds if the twin's are later by `shift` [s]."""
+    shifted = interpolate(recorded.stamps - shift, twin.stamps, twin.speeds)
+    return _rms(recorded.speeds - shifted)
+
+
 def find_time_shift(recorded: EpisodeTrack, twin: EpisodeTrack) -> float:
     """Return by how much the twin's wheel speeds must be delayed to fit the recorded ones best [s].
 
@@ -107,11 +118,7 @@ def find_time_shift(recorded: EpisodeTrack, twin: EpisodeTrack) -> float:
     if np.ptp(recorded.speeds, axis=0).max() < MOVING_SPEED:
         return math.nan
     # Every shift is tried, as the cost has several minima for periodic drives.
-    errors = [
-        _rms(recorded.speeds - interpolate(recorded.stamps - shift, twin.stamps, twin.speeds))
-        for shift in TIME_SHIFTS
-    ]
-    costs = np.square(errors)
+    costs = np.square([_measure_speed_gap(recorded, twin, shift) for shift in TIME_SHIFTS])
     best = int(np.argmin(costs))
     if not 0 < best < len(TIME_SHIFTS) - 1:
         return math.nan
@@ -122,7 +129,8 @@ def find_time_shift(recorded: EpisodeTrack, twin: EpisodeTrack) -> float:
     return float(TIME_SHIFTS[best] - step * slope / (2.0 * curvature))
 
 
-class EpisodeReplay(NamedTuple):
+@dataclass(frozen=True)
+class EpisodeReplay:
     """A recorded episode, and how far both twins are from it."""
 
     log: str
@@ -138,27 +146,25 @@ class EpisodeReplay(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TwinGap:
-    """The gaps of all logs."""
+    """The gaps of all logs, as `format_gap` writes them."""
 
     robot: str
     """Name of the fitted robot."""
     unfitted: str
     """Name of the unfitted robot."""
     body: str
-    replays: tuple[EpisodeReplay, ...]
-    notes: tuple[str, ...]
+    held_out: bool
+    """Whether there is any log that the robot wasn't fitted to."""
+    logs: Sequence[EpisodeReplay]
+    notes: Sequence[str]
 
     @property
-    def held_out(self) -> bool:
-        """Whether there is any log that the robot wasn't fitted to."""
-        return not all(replay.fitted for replay in self.replays)
-
-    @property
-    def judged(self) -> tuple[EpisodeReplay, ...]:
+    def judged(self) -> list[EpisodeReplay]:
         """The held-out episodes, or all if none is held out."""
-        return tuple(r for r in self.replays if not (self.held_out and r.fitted))
+        return [replay for replay in self.logs if replay.fitted != self.held_out]
 
-    def _values(self, side: str, name: str) -> list[float]:
+    def values(self, side: str, name: str) -> list[float]:
+        """Return a figure of the twin "before" or "after" for each judged episode."""
         return [replay.figures[side][name] for replay in self.judged]
 
     def figures(self, side: str) -> GapFigures:
@@ -170,16 +176,12 @@ class TwinGap:
         pooled = {}
         for name, metric in GAP_METRICS.items():
             # A log may lack a figure, such as the shift of wheels that hardly move.
-            values = np.ma.masked_invalid(self._values(side, name))
+            values = np.ma.masked_invalid(self.values(side, name))
             mean = values.mean()
             if metric.rms:
                 mean = np.ma.sqrt(np.ma.average(values**2, weights=seconds))
             pooled[name] = float(np.ma.filled(mean, math.nan))
         return pooled
-
-    def intervals(self, side: str) -> dict[str, Interval]:
-        """Return bootstrap intervals of the means over the judged episodes."""
-        return {name: bootstrap_interval(self._values(side, name)) for name in GAP_METRICS}
 
 
 def measure_gap(
@@ -200,15 +202,15 @@ def measure_gap(
         ConfigError: The logs are of different robots, or contain nothing that can be compared.
     """
     check_same_robot(logs, "compare logs of")
-    config = robot[1]
+    name, config = robot
+    twins = dict(zip(TWIN_SIDES, (unfitted[1], config), strict=True))
 
     # Logs that the robot's file names can't show how good it is.
-    fitted_logs = set(config.motor_fit_logs).union(
-        *(interval.logs for interval in config.measured.values())
-    )
-    notes = [f"{name}: {side.misfit}" for name, side in (robot, unfitted) if side.misfit]
-    for name, recording in logs:
-        notes += _note_limits(name, recording, robot, has_logs=bool(fitted_logs))
+    intervals = config.measured.values()
+    fitted_logs = set(config.motor_fit_logs).union(*(interval.logs for interval in intervals))
+    notes = [f"{side}: {twin.misfit}" for side, twin in (robot, unfitted) if twin.misfit]
+    for log, recording in logs:
+        notes += _note_limits(log, recording, robot, has_logs=bool(fitted_logs))
 
     replays = []
     for log, recording in logs:
@@ -224,20 +226,17 @@ def measure_gap(
             wire = resend_twists(episode.wire, recording.config, config)
             resent = replace(episode, wire=wire)
             recorded = make_recorded_track(resent, config)
-            twins = [
-                make_twin_track(resent, config, twin=twin, body=body)
-                for twin in (unfitted[1], config)
-            ]
+            figures = {
+                side: measure_figures(recorded, make_twin_track(resent, config, twin, body))
+                for side, twin in twins.items()
+            }
             replay = EpisodeReplay(
                 log=log,
                 episode=number,
                 fitted=not fitted_logs.isdisjoint(recording.sources),
                 seconds=float(np.ptp(episode.stamps)),
-                truth=bool(np.isfinite(recorded.truth).all()),
-                figures={
-                    side: measure_figures(recorded, twin)
-                    for side, twin in zip(TWIN_SIDES, twins, strict=True)
-                },
+                truth=recorded.has_truth,
+                figures=figures,
             )
             replays.append(replay)
 
@@ -246,13 +245,12 @@ def measure_gap(
     if not all(replay.truth for replay in replays):
         notes.append(
             "positions without a recorded true pose are by odometry of both, computed from the "
-            f"wheel speeds with the geometry of {robot[0]}"
+            f"wheel speeds with the geometry of {name}"
         )
-    gap = TwinGap(robot[0], unfitted[0], body, tuple(replays), tuple(notes))
-    if gap.held_out:
-        return gap
-    alone = "the robot was fitted to all of these logs: none is held out"
-    return replace(gap, notes=(*notes, alone))
+    held_out = not all(replay.fitted for replay in replays)
+    if not held_out:
+        notes.append("the robot was fitted to all of these logs: none is held out")
+    return TwinGap(name, unfitted[0], body, held_out, logs=replays, notes=notes)
 
 
 def _note_limits(
@@ -284,28 +282,22 @@ def _find_unusable(episode: Episode, config: RobotConfig) -> str:
         return "its odometry isn't finite"
     if not len(episode.stamps) or np.ptp(episode.stamps) < SHORTEST_EPISODE - 2.0 * config.period:
         return f"holds less than {SHORTEST_EPISODE:g} s"
-    if np.ptp([stamps[place] for stamps in times for place in (0, -1)]) > LONGEST_EPISODE:
+    if np.ptp(np.concatenate(times)) > LONGEST_EPISODE:
         return f"is longer than {LONGEST_EPISODE / 3600.0:g} h"
     return ""
 
 
 def conclude_gap(gap: TwinGap) -> str:
     """State in a line how far the twin is from the robot."""
-    judged = gap.judged
-    seconds = sum(replay.seconds for replay in judged)
+    count = len(gap.judged)
+    seconds = sum(replay.seconds for replay in gap.judged)
     kind = "held-out" if gap.held_out else "fitted"
-    episodes = f"{len(judged)} {kind} episode{'s' * (len(judged) != 1)}, {seconds:.0f} s"
     unfitted, fitted = map(gap.figures, TWIN_SIDES)
-    wheels = f"{unfitted['wheel_speed_rms']:.2f} to {fitted['wheel_speed_rms']:.2f} rad/s RMS"
-    ends = f"{100.0 * unfitted['end_pose']:.2f} to {100.0 * fitted['end_pose']:.2f} cm"
-    return f"{episodes}: wheel speeds from {wheels}, position at the end from {ends}"
-
-
-def _format_cell(value: float, scale: float = 1.0) -> str:
-    """Format a number with three digits. "-" for NaN."""
-    if math.isnan(value):
-        return "-"
-    return "0" if abs(value * scale) < 1e-6 else f"{value * scale:.3g}"
+    return (
+        f"{count} {kind} episode{'s' * (count != 1)}, {seconds:.0f} s: wheel speeds from "
+        f"{unfitted['wheel_speed_rms']:.2f} to {fitted['wheel_speed_rms']:.2f} rad/s RMS, position "
+        f"at the end from {100.0 * unfitted['end_pose']:.2f} to {100.0 * fitted['end_pose']:.2f} cm"
+    )
 
 
 def gap_tables(gap: TwinGap) -> list[Table]:
@@ -314,31 +306,30 @@ def gap_tables(gap: TwinGap) -> list[Table]:
     title = f"Gap of {gap.robot} (before: {gap.unfitted}) on {kind}, twin: {gap.body}"
 
     # The figures of both twins.
-    figures = Table("figure", "unit", title=escape_text(title), title_justify="left")
-    for column in ("before", "after", "95 % interval", "after / before"):
-        figures.add_column(column, justify="right")
+    columns = ("before", "after", "95 % interval", "after / before")
+    numbers = (Column(column, justify="right") for column in columns)
+    figures = Table("figure", "unit", *numbers, title=escape_text(title), title_justify="left")
     unfitted, fitted = map(gap.figures, TWIN_SIDES)
-    for name, interval in gap.intervals("after").items():
-        metric = GAP_METRICS[name]
+    for name, metric in GAP_METRICS.items():
+        low, high = map(metric.format, bootstrap_interval(gap.values("after", name)))
+        ends = "" if low == "-" else f"{low} to {high}"
         ratio = "-"  # if there was nothing to lose
         if math.isfinite(fitted[name]) and abs(unfitted[name]) >= LEAST_GAP:
             ratio = f"{abs(fitted[name] / unfitted[name]):.1%}"
-        numbers = (unfitted[name], fitted[name], *interval)
-        cells = [_format_cell(number, metric.scale) for number in numbers]
-        ends = "" if math.isnan(interval[0]) else " to ".join(cells[2:])
-        figures.add_row(metric.label, metric.unit, *cells[:2], ends, ratio)
+        sizes = (metric.format(side[name]) for side in (unfitted, fitted))
+        figures.add_row(metric.label, metric.unit, *sizes, ends, ratio)
 
     # Both twins for each episode.
-    logs = Table("log", "use", title="Each episode, before -> after", title_justify="left")
-    logs.add_column("duration", justify="right")
-    for column in ("wheel speeds", "end position", "against"):
-        logs.add_column(column)
-    for replay in gap.replays:
+    duration = Column("duration", justify="right")
+    texts = ("wheel speeds", "end position", "against")
+    title = "Each episode, before -> after"
+    logs = Table("log", "use", duration, *texts, title=title, title_justify="left")
+    for replay in gap.logs:
         cells = [escape_text(f"{replay.log} #{replay.episode}")]
         cells += ["fitted" if replay.fitted else "held out", f"{replay.seconds:.1f} s"]
         for name in ("wheel_speed_rms", "end_pose"):
             metric = GAP_METRICS[name]
-            sizes = [_format_cell(replay.figures[side][name], metric.scale) for side in TWIN_SIDES]
+            sizes = (metric.format(replay.figures[side][name]) for side in TWIN_SIDES)
             cells.append(f"{' -> '.join(sizes)} {metric.unit}")
         logs.add_row(*cells, "truth" if replay.truth else "odometry")
     return [figures, logs]
@@ -346,22 +337,12 @@ def gap_tables(gap: TwinGap) -> list[Table]:
 
 def format_gap(gap: TwinGap) -> dict[str, Any]:
     """Return the gap for JSON, in SI units. An unknown figure is null."""
-    logs = []
-    for replay in gap.replays:
-        fields = replay._asdict()
-        figures = fields.pop("figures")
-        logs.append(fields | figures)
-
-    document: dict[str, Any] = {
-        "robot": gap.robot,
-        "unfitted": gap.unfitted,
-        "body": gap.body,
-        "held_out": gap.held_out,
-        "logs": logs,
-        "notes": list(gap.notes),
-        "conclusion": conclude_gap(gap),
-    }
+    document = asdict(gap)
+    # Figures of both twins are keys of their log, next to its name.
+    document["logs"] = [log | log.pop("figures") for log in document["logs"]]
+    document["conclusion"] = conclude_gap(gap)
     for side in TWIN_SIDES:
-        document[side] = {"figures": gap.figures(side), "intervals": gap.intervals(side)}
+        intervals = {name: bootstrap_interval(gap.values(side, name)) for name in GAP_METRICS}
+        document[side] = {"figures": gap.figures(side), "intervals": intervals}
     formatted: dict[str, Any] = replace_nonfinite(document)
     return formatted

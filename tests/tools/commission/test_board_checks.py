@@ -128,11 +128,6 @@ def test_check_timeout(quirks: tuple[str], robot: dict[str, Any], timeout: float
     assert rows[TIMEOUT].status == ("fail" if timeout is None else "ok")
 
 
-def test_check_feedback_rate() -> None:
-    result = examined(board("feedback-rate=10"))[0]
-    assert result.changes["firmware"] == {"feedback_rate": 10}
-
-
 def drive(config: RobotConfig, *names: str) -> tuple[Pose, Pose]:
     """True poses of a robot behind a quirky board: after driving straight, and after a turn."""
     with Robot(board(*names), config) as robot:

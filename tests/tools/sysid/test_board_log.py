@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ from sysid_tools import ACSAR, drive_wire
 
 from acsar_gym.errors import AcsarError
 from acsar_gym.protocol import encode
-from acsar_gym.recording.types import Floats, WireLog
+from acsar_gym.recording.types import WireLog
 from acsar_gym.tools.sysid import board_log
 from acsar_gym.tools.sysid.board_log import decode_tracks, find_quantum
 from acsar_gym.tools.sysid.excitation import plan_excitation
@@ -31,7 +32,6 @@ def test_decode_tracks_of_ros_have_no_wire_time() -> None:
     assert board.arrivals == pytest.approx(stamps + ACSAR.wire_time)
     assert ros.arrivals.tolist() == stamps.tolist()
     assert set(ros.stamps) <= set(stamps)
-    assert (board.in_ros, ros.in_ros) == (False, True)
 
 
 def test_decode_tracks_leaves_out_lines_after_a_stall() -> None:
@@ -60,9 +60,7 @@ def test_decode_tracks_takes_the_agitated_parts_of_a_long_log(
     assert all(0.1 < track.held_out.mean() < 0.3 for track in tracks)
 
 
-@pytest.mark.parametrize(
-    ("step", "fastest"), [(0.027, 11.0), (0.0871, 11.0), (1.0, 8.0), (2.0, 12.0)]
-)
+@pytest.mark.parametrize(("step", "fastest"), [(0.027, 11.0), (1.0, 8.0), (2.0, 12.0)])
 def test_find_quantum_sees_through_the_rounding(step: float, fastest: float) -> None:
     speeds = SPEEDS[np.abs(SPEEDS) < fastest]
     exact = step * np.round(speeds / step)
@@ -72,48 +70,29 @@ def test_find_quantum_sees_through_the_rounding(step: float, fastest: float) -> 
         assert quantum is not None
         assert quantum.value == pytest.approx(step, abs=1e-3)
         assert quantum.low - 1e-3 <= step <= quantum.high + 1e-3
+    assert find_quantum(np.array([2.94, 3.04, 3.13, 5.98, 6.07])) is None  # too few
 
 
-def test_find_quantum_needs_enough_speeds() -> None:
-    assert find_quantum(np.array([2.94, 3.04, 3.13, 5.98, 6.07])) is None
-
-
-def check_order(commands: Floats, **hidden: Any) -> None:
-    """Drive a hidden robot with these wheel speeds for five seconds, and check its wheels."""
-    log = drive_wire(lambda time: commands[round(time / 0.01)], ACSAR.with_(**hidden), 5.0)
-    tracks = decode_tracks([log], ACSAR)
-    turning = np.flatnonzero(np.abs(tracks[0].speeds).max(axis=0) > 0.5).tolist()
-    check_wheel_order(FitProblem(tracks, turning, ACSAR, Rounding()))
-
-
-STEPS = plan_excitation(ACSAR, 12.0, 0.01).first
-WAVE = np.tile(5.0 * np.sin(5.0 * TICKS[:500, None]), (1, 4))
-
-
-@pytest.mark.parametrize(
-    ("wheels", "message"),
-    [
-        ({"c": {"encoder": "d"}, "d": {"encoder": "c"}}, "rear_left answers rear_right's"),
-        ({"b": {"sign": -1}}, "front_left turns backward"),
-        ({"a": {"motor": "b", "motor_sign": -1}, "b": {"motor": "a"}}, "front_right answers"),
-    ],
-)
-def test_check_wheel_order_names_a_miswired_wheel(wheels: Any, message: str) -> None:
-    with pytest.raises(AcsarError, match=message):
-        check_order(np.resize(STEPS, (600, 4)), wheels=wheels)
-
-
-SLOW = {
-    "motor": {"time_constant": 0.3, "deadband": 1.0},
-    "firmware": {"feedback_rate": 20.0, "command_delay": 0.04},
-}
+STEPS = np.resize(plan_excitation(ACSAR, 12.0, 0.01).first, (600, 4))
+SWAPPED = {"wheels": {"c": {"encoder": "d"}, "d": {"encoder": "c"}}}
+MIRRORED = {"wheels": {"a": {"motor": "b", "motor_sign": -1}, "b": {"motor": "a"}}}
+SLOW = {"motor": {"time_constant": 0.3, "deadband": 1.0}, "firmware": {"feedback_rate": 20.0}}
 ONE_DEAD = {"motor": {"deadband": (0.0, 20.0, 0.0, 0.0)}}
 
 
 @pytest.mark.parametrize(
-    ("commands", "hidden"),
-    [(np.resize(STEPS, (600, 4)), SLOW), (WAVE, ONE_DEAD), (WAVE * (1, -1, -1, 1), SLOW)],
-    ids=["slow", "one dead", "turning"],
+    ("hidden", "message"),
+    [
+        (SWAPPED, "rear_left answers rear_right's"),
+        ({"wheels": {"b": {"sign": -1}}}, "front_left turns backward"),
+        (MIRRORED, "front_right answers"),
+        (SLOW, ""),
+        (ONE_DEAD, ""),
+    ],
 )
-def test_check_wheel_order_accepts_a_robot_that_is_wired_right(commands: Any, hidden: Any) -> None:
-    check_order(commands, **hidden)
+def test_check_wheel_order_names_a_miswired_wheel(hidden: Any, message: str) -> None:
+    log = drive_wire(lambda time: STEPS[round(time / 0.01)], ACSAR.with_(**hidden), 5.0)
+    tracks = decode_tracks([log], ACSAR)
+    turning = np.flatnonzero(np.abs(tracks[0].speeds).max(axis=0) > 0.5).tolist()
+    with pytest.raises(AcsarError, match=message) if message else nullcontext():
+        check_wheel_order(FitProblem(tracks, turning, ACSAR, Rounding()))

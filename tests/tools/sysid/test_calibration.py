@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration_tools import ACSAR, circle_wheels, line_wheels, spin_wheels
+from calibration_tools import ACSAR, line_wheels, spin_wheels
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import open_link
-from acsar_gym.odometry import Odometry
 from acsar_gym.recording import Recorder
 from acsar_gym.robot import Robot
 from acsar_gym.tools.sysid.calibration import (
@@ -19,8 +19,10 @@ from acsar_gym.tools.sysid.calibration import (
     Geometry,
     GivenReadings,
     check_readings,
+    hash_runs,
     integrate_wheels,
     read_recorded_runs,
+    read_tape,
 )
 from acsar_gym.tools.sysid.calibration_drive import drive_plans, plan_straights, plan_turns
 
@@ -35,33 +37,21 @@ BACK_AT_START = CalibrationRun("straight 1", "straight", np.array([(0.0, 0.0), (
 def test_integrate_wheels_on_lines_arcs_and_full_turns() -> None:
     line = line_wheels(EVEN, 2.0)
     assert integrate_wheels(line, EVEN, 0.3) == pytest.approx((2.0, 0.0, 0.0))
-    theta = 2.0 * 0.04 / 0.45  # unequal wheels drive an arc
+    theta = 2.0 * 0.04 / 0.45  # unequal wheels drive an arc, integrated exactly in a single step
     radius = 2.0 / theta
     expected = (radius * math.sin(theta), radius * (1.0 - math.cos(theta)), theta)
-    uneven = Geometry(0.05, 0.04, 1.5)
-    for wheels in (line, line[[0, -1]]):  # each step is integrated exactly
-        assert integrate_wheels(wheels, uneven, 0.3) == pytest.approx(expected)
+    assert integrate_wheels(line[[0, -1]], Geometry(0.05, 0.04, 1.5), 0.3) == pytest.approx(
+        expected
+    )
     spin = spin_wheels(EVEN, 10.0 * math.pi)  # a larger multiplier turns less
     turned = integrate_wheels(spin, EVEN._replace(multiplier=2.0), 0.3)[2]
     assert turned == pytest.approx(10.0 * math.pi * 1.5 / 2.0)
-
-
-def test_integrate_wheels_agrees_with_the_drivers_odometry() -> None:
-    config = ACSAR.with_(left_wheel_radius_multiplier=0.99, right_wheel_radius_multiplier=1.03)
-    geometry = Geometry.of(config)
-    odometry = Odometry.of(config)
-    wheels = circle_wheels(geometry, 0.5, 2.0)
-    for sides in np.repeat(np.diff(wheels, axis=0) / 20.0, 20, axis=0):
-        odometry.update(sides[[1, 0, 0, 1]].tolist(), 1.0)
-    expected = integrate_wheels(wheels, geometry, config.wheel_separation)
-    assert odometry.pose == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize(
     ("run", "given", "error"),
     [
         (LINE, GivenReadings([math.nan]), "which says 2.000 m: is it in metres"),
-        (LINE, GivenReadings([2.0], [30.0]), "which says 0.000 m"),
         (LEFT, GivenReadings(degrees=[3600.0]), "which says 1800"),
         (BACK_AT_START, GivenReadings([2.0]), "ended where it began"),
     ],
@@ -77,11 +67,13 @@ def test_given_readings_are_for_all_runs_of_a_manoeuvre() -> None:
     readings = GivenReadings((2.0, -2.1), (0.05, -0.05), (1712.0, -1713.0))  # a run is backward
     assert readings.check(["straight", "turn", "straight", "turn"])
     runs = readings.give([LINE, RIGHT, LINE, LEFT])
-    values = [[reading.value for reading in run.readings] for run in runs]
-    assert values[::2] == [[2.0, 0.05], [2.1, -0.05]]
-    assert values[1::2] == [[-math.radians(1712.0)], [math.radians(1713.0)]]
-    assert [reading.kind for reading in runs[0].readings] == ["distance", "aside"]
-    assert len(readings.give([LINE])) == 1  # the drive ended early
+    values = [[(reading.kind, reading.value) for reading in run.readings] for run in runs]
+    assert values == [
+        [("distance", 2.0), ("aside", 0.05)],
+        [("heading", -math.radians(1712.0))],
+        [("distance", 2.1), ("aside", -0.05)],
+        [("heading", math.radians(1713.0))],
+    ]
     with pytest.raises(ConfigError, match="2 readings for 1 straight runs"):
         readings.check(["straight", "turn"])
     with pytest.raises(ConfigError, match="--aside needs --measured"):
@@ -104,8 +96,16 @@ def test_read_recorded_runs_returns_the_driven_runs(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"wheelbase is 0\.22 there and 0\.3 here"):
         read_recorded_runs(path, "turn", ACSAR.with_(wheelbase=0.3))
 
-    unnamed = tmp_path / "unnamed.mcap"
-    with Robot(open_link("planar", ACSAR), ACSAR, recorder=Recorder(unnamed)) as robot:
+
+def test_read_recorded_runs_needs_the_manoeuvre_of_other_drives(tmp_path: Path) -> None:
+    path = tmp_path / "unnamed.mcap"
+    with Robot(open_link("planar", ACSAR), ACSAR, recorder=Recorder(path)) as robot:
         robot.drive(0.3, 0.0)
     with pytest.raises(ConfigError, match="say what was recorded"):
-        read_recorded_runs(unnamed, "all", ACSAR)
+        read_recorded_runs(path, "all", ACSAR)
+
+
+def test_hash_runs_differs_by_wheels_and_readings() -> None:
+    measured = replace(LINE, readings=(read_tape("distance", 2.0),))
+    assert len({hash_runs(runs) for runs in ([LINE], [LEFT], [LINE, LEFT], [measured])}) == 4
+    assert hash_runs([LINE]) == hash_runs([replace(LINE, name="another")])

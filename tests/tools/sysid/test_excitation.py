@@ -29,10 +29,9 @@ def test_plan_excitation_keeps_the_limits_of_the_robot(limits: dict[str, float])
     plan = plan_excitation(config, 20.0, 0.01)
     top = min(config.max_wheel_speed, config.max_linear / config.wheel_radius)
     speeds = np.concatenate((plan.first, plan.last))
-    assert np.abs(speeds).max() <= top + 1e-9
     assert len(speeds) + plan.pause == pytest.approx(2000, abs=2)
-    assert (speeds.min(0) < -0.5 * top).all()
-    assert (speeds.max(0) > 0.5 * top).all()
+    for fastest in (-speeds.min(axis=0), speeds.max(axis=0)):
+        assert ((fastest > 0.5 * top) & (fastest <= top + 1e-9)).all()
     sides = plan_excitation(config, 20.0, 0.01, sides=True)
     assert sides.last.tolist() == plan.last[:, [0, 1, 1, 0]].tolist()
 
@@ -53,7 +52,6 @@ def test_taped_link_logs_a_serial_wire_finer_than_ticks(
     assert last in track.pauses
     assert track.commands[last].tolist() == [3.0, -3.0, 3.0, -3.0]
     assert np.median(np.diff(track.arrivals)) == pytest.approx(0.01 * TICK_STRETCH, rel=0.2)
-    assert len(track.stamps) > 30
     phases = np.mod(tape.log.got_stamps[:, None] - tape.log.sent_stamps, 0.01)
     assert phases.std() > 1e-3
     assert tape.log.sent[-1].startswith(ZEROS)

@@ -13,7 +13,7 @@ from sysid_tools import ACSAR, find_missed_truths
 from acsar_gym import RobotConfig
 from acsar_gym.errors import AcsarError
 from acsar_gym.recording import read
-from acsar_gym.tools.sysid.identify import GAP_NOISE, NO_RAMP, Identification, identify_device
+from acsar_gym.tools.sysid.identify import NO_RAMP, Identification, identify_device
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 
 
@@ -61,8 +61,6 @@ def test_measure_gap_of_the_identified_board(drives: Path) -> None:
     result = identify(BoardProgram())
     result.check()
     assert find_missed_truths(result, describe(BoardProgram())) == []
-    assert result.held_out is not None
-    assert result.held_out.after < 2.0 * GAP_NOISE
     gap = measure_gap([("drives", read(drives))], ("found", result.robot()), ("acsar", ACSAR))
     assert gap.held_out
     assert gap.figures("after")["wheel_speed_rms"] < 0.082
@@ -73,10 +71,8 @@ def test_measure_gap_of_the_identified_board(drives: Path) -> None:
 @pytest.mark.parametrize(
     "program",
     [
-        BoardProgram(feedback=100, noise=10),
         BoardProgram(quantum=100),
         pytest.param(SLOWER, marks=pytest.mark.slow),
-        pytest.param(BoardProgram(ramp=40, feedback=10), marks=pytest.mark.slow),
         pytest.param(
             BoardProgram(gain=(100, 100, 85, 100), delay=40, timeout=0), marks=pytest.mark.slow
         ),
