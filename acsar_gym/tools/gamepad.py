@@ -7,6 +7,7 @@ report changes only, so a silent pad is a pad that is held.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Iterable, Mapping
 from enum import Enum
 
@@ -56,9 +57,10 @@ class Controls:
 
     def __init__(self, axes: Mapping[int, AbsInfo], backward: int, forward: int) -> None:
         self._axes = axes
-        self._values = {code: axis.value for code, axis in axes.items()}
         self._backward = backward
         self._forward = forward
+        codes = (ecodes.ABS_X, backward, forward)
+        self._levels = {code: self._measure(code, axes[code].value) for code in codes}
         self._held = False
         self._neutral = False
 
@@ -72,19 +74,18 @@ class Controls:
         for event in events:
             if event.type == ecodes.EV_SYN and event.code == ecodes.SYN_DROPPED:
                 raise OSError("events were dropped")
-            # Letting go of LB stops, whatever else happens.
-            if event.type == ecodes.EV_KEY and event.code == ecodes.BTN_TL:
-                if event.value != 2:  # the kernel repeats keys that are held
-                    self._held = bool(event.value)
-                    self._neutral = False
-            elif event.type == ecodes.EV_KEY and event.code in BUTTONS:
-                if event.value == 1:
-                    pressed.append(BUTTONS[event.code])
-            elif event.type in (ecodes.EV_KEY, ecodes.EV_ABS) and event.code in self._axes:
-                self._values[event.code] = event.value
+            if event.type not in (ecodes.EV_KEY, ecodes.EV_ABS):
+                continue
 
-            at_rest = not (self._turn() or self._pull(self._backward) or self._pull(self._forward))
-            self._neutral = self._neutral or at_rest
+            # Letting go of LB stops. The kernel repeats keys that are held with the value 2.
+            if event.code == ecodes.BTN_TL and event.value != 2:
+                self._held = bool(event.value)
+                self._neutral = False
+            elif event.code in BUTTONS and event.value == 1:
+                pressed.append(BUTTONS[event.code])
+            elif event.code in self._levels:
+                self._levels[event.code] = self._measure(event.code, event.value)
+            self._neutral = self._neutral or not any(self._levels.values())
         return pressed
 
     def disarm(self) -> None:
@@ -95,24 +96,19 @@ class Controls:
         """Return shares of the full linear and angular speed, -1 to 1. Left is positive."""
         if not (self._held and self._neutral):
             return 0.0, 0.0
-        return self._pull(self._forward) - self._pull(self._backward), self._turn()
+        linear = self._levels[self._forward] - self._levels[self._backward]
+        return linear, self._levels[ecodes.ABS_X]
 
-    def _share(self, code: int) -> float:
-        """Position of an axis between its minimum and its maximum, 0 to 1."""
+    def _measure(self, code: int, value: int) -> float:
+        """How far the stick is to the left, -1 to 1, or a trigger is pulled, 0 to 1."""
         axis = self._axes[code]
-        share = (self._values[code] - axis.min) / max(axis.max - axis.min, 1)
-        return min(max(share, 0.0), 1.0)
-
-    def _turn(self) -> float:
-        """How far the stick is to the left, -1 to 1."""
-        # Left is the minimum of the axis, and a positive turn.
-        offset = 1.0 - 2.0 * self._share(ecodes.ABS_X)
-        turn = max(abs(offset) - STICK_DEAD_ZONE, 0.0) / (1.0 - STICK_DEAD_ZONE)
-        return turn if offset > 0.0 else -turn
-
-    def _pull(self, trigger: int) -> float:
-        """How far a trigger is pulled, 0 to 1."""
-        return max(self._share(trigger) - TRIGGER_DEAD_ZONE, 0.0) / (1.0 - TRIGGER_DEAD_ZONE)
+        level = min(max((value - axis.min) / max(axis.max - axis.min, 1), 0.0), 1.0)
+        dead_zone = TRIGGER_DEAD_ZONE
+        # Left is the minimum of the stick's axis, and a positive turn.
+        if code == ecodes.ABS_X:
+            level = 1.0 - 2.0 * level
+            dead_zone = STICK_DEAD_ZONE
+        return math.copysign(max(abs(level) - dead_zone, 0.0) / (1.0 - dead_zone), level)
 
 
 class Gamepad:
@@ -213,20 +209,21 @@ def find_gamepads(name: str = "") -> list[str]:
 
 
 TRIGGERS = (
-    ({ecodes.ABS_HAT2Y, ecodes.ABS_HAT2X}, (ecodes.ABS_HAT2Y, ecodes.ABS_HAT2X)),
-    ({ecodes.ABS_BRAKE, ecodes.ABS_GAS}, (ecodes.ABS_BRAKE, ecodes.ABS_GAS)),
-    ({ecodes.ABS_Z, ecodes.ABS_RZ, ecodes.ABS_RX}, (ecodes.ABS_Z, ecodes.ABS_RZ)),
-    ({ecodes.BTN_TL2, ecodes.BTN_TR2}, (ecodes.BTN_TL2, ecodes.BTN_TR2)),
+    (ecodes.ABS_HAT2Y, ecodes.ABS_HAT2X),
+    (ecodes.ABS_BRAKE, ecodes.ABS_GAS),
+    (ecodes.ABS_Z, ecodes.ABS_RZ, ecodes.ABS_RX),
+    (ecodes.BTN_TL2, ecodes.BTN_TR2),
 )
-"""The codes that a pad must have, and its left and right trigger. The specification has triggers as
-ABS_HAT2Y and ABS_HAT2X or as buttons. Xpad and hid-playstation have them as ABS_Z and ABS_RZ, next
-to a right stick on ABS_RX. Xbox pads by Bluetooth as ABS_BRAKE and ABS_GAS."""
+"""Left and right trigger, and what else a pad must have for these to be triggers. The specification
+has triggers as ABS_HAT2Y and ABS_HAT2X or as buttons. Xpad and hid-playstation have them as ABS_Z
+and ABS_RZ, next to a right stick on ABS_RX. Xbox pads by Bluetooth as ABS_BRAKE and ABS_GAS."""
 
 
-def find_triggers(device: InputDevice[str]) -> tuple[int, int] | None:
+def find_triggers(device: InputDevice[str]) -> tuple[int, ...] | None:
     """Return the codes of the left and right trigger. None if a device isn't a gamepad."""
     capabilities = device.capabilities(absinfo=False)
     codes = {*capabilities.get(ecodes.EV_KEY, ()), *capabilities.get(ecodes.EV_ABS, ())}
     if not {ecodes.ABS_X, ecodes.BTN_TL, *BUTTONS} <= codes:
         return None
-    return next((triggers for needed, triggers in TRIGGERS if needed <= codes), None)
+    # Without ABS_RX, ABS_Z and ABS_RZ are a right stick.
+    return next((row[:2] for row in TRIGGERS if codes.issuperset(row)), None)

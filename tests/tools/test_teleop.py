@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 import pty
 import select
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import gamepad_tools
+import numpy as np
 import pytest
 from gamepad_tools import FULL, LB, LEFT, LET_GO, QUIT, REST, START, STOP, EmulatedPad
 from serial_tools import (
@@ -42,8 +41,6 @@ pytestmark = pytest.mark.usefixtures("deadline")
 
 
 ARROW_UP = "\x1b[A"
-WITH_PAD = (sys.executable, gamepad_tools.__file__)
-"""The command line with emulated gamepads."""
 
 
 def on_the_wire(config: RobotConfig, linear: float, angular: float) -> Command:
@@ -53,30 +50,22 @@ def on_the_wire(config: RobotConfig, linear: float, angular: float) -> Command:
 
 
 @pytest.mark.parametrize(
-    ("keys", "twist"),
+    ("keys", "now", "twist"),
     [
-        ("d", (0.0, -0.2)),
-        ("wwwwa", (0.2, 0.2)),  # as a key that is held
-        ("ws", (-0.2, 0.0)),
-        ("5w0", (1.0, 0.0)),
-        ("wa x", (0.0, 0.0)),
+        ("wd", 0.4, (0.2, -0.2)),
+        ("wwwwa", 0.1, (0.2, 0.2)),  # as a key that is held
+        ("ws", 0.1, (-0.2, 0.0)),
+        ("5w0", 0.1, (1.0, 0.0)),
+        ("wa x", 0.1, (0.0, 0.0)),
+        ("wd", 0.5, (0.0, -0.2)),  # each key has its own time
+        ("w", 0.5, (0.0, 0.0)),
     ],
 )
-def test_drive_keys(keys: str, twist: tuple[float, float]) -> None:
+def test_drive_keys(keys: str, now: float, twist: tuple[float, float]) -> None:
     drive_keys = teleop.DriveKeys()
-    for key in keys:
-        drive_keys.press(key, 3.0)
-    assert drive_keys.twist(3.1) == twist
-
-
-def test_drive_keys_drive_until_their_time_is_over() -> None:
-    keys = teleop.DriveKeys()
-    keys.press("w", 0.0)
-    keys.press("d", 0.3)
-    assert keys.twist(0.4) == (0.2, -0.2)
-    assert keys.twist(0.5) == (0.0, -0.2)
-    keys.press("5", 1.0)
-    assert keys.twist(1.2) == (0.0, 0.0)
+    for number, key in enumerate(keys):
+        drive_keys.press(key, 0.01 * number)
+    assert drive_keys.twist(now) == twist
 
 
 @pytest.mark.parametrize(
@@ -144,14 +133,14 @@ class Screen:
         return self.process.wait(0.0)
 
 
-@contextlib.contextmanager
-def open_screen(*arguments: str, program: Sequence[str] = CLI) -> Iterator[Screen]:
+@pytest.fixture
+def screen(emulator: Emulated, robot_file: RobotFile) -> Iterator[Screen]:
     master, slave = pty.openpty()
     # Blessed asks the terminal for its features, and nobody is here to answer.
     env = {**os.environ, "TERM": "xterm", "BLESSED_QUERY_TIMEOUT_SECONDS": "0"}
 
     process = subprocess.Popen(
-        [*program, "drive", *arguments],
+        [*CLI, "drive", "--link", emulator.device, "--robot", str(robot_file())],
         stdin=slave,
         stdout=slave,
         stderr=slave,
@@ -163,12 +152,6 @@ def open_screen(*arguments: str, program: Sequence[str] = CLI) -> Iterator[Scree
     process.wait(TIMEOUT)
     os.close(master)
     os.close(slave)
-
-
-@pytest.fixture
-def screen(emulator: Emulated, robot_file: RobotFile) -> Iterator[Screen]:
-    with open_screen("--link", emulator.device, "--robot", str(robot_file())) as shown:
-        yield shown
 
 
 def hold(screen: Screen, key: str, emulator: Emulated, command: Command) -> None:
@@ -228,16 +211,14 @@ def test_drive_keyboard_releases_an_emergency_stop(
     assert screen.wait() == 0
 
 
-@pytest.fixture
-def pad(tmp_path: Path) -> Iterator[EmulatedPad]:
-    emulated = EmulatedPad(tmp_path / "pad")
-    yield emulated
-    emulated.pull()
-
-
 def test_drive_gamepad_stops_in_the_tick_in_which_lb_is_let_go_or_the_cable_pulled(
-    pad: EmulatedPad, config: RobotConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    config: RobotConfig,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """After a lost pad and after an emergency stop, LB has to be pressed again."""
+    pad = EmulatedPad(tmp_path / "pad")
     happens: dict[int, Callable[[], None]] = {
         50: lambda: pad.deliver(FULL),  # a trigger alone
         60: lambda: pad.deliver(REST + LB + FULL),
@@ -246,7 +227,13 @@ def test_drive_gamepad_stops_in_the_tick_in_which_lb_is_let_go_or_the_cable_pull
         260: pad.pull,
         270: pad.plug,
         350: lambda: pad.deliver(FULL),
-        400: lambda: pad.deliver(QUIT),
+        360: lambda: pad.deliver(REST + LB + FULL),
+        420: lambda: pad.deliver(STOP),
+        430: lambda: pad.deliver(LET_GO + REST + LB + FULL),
+        450: lambda: pad.deliver(START),
+        460: lambda: pad.deliver(REST + FULL),
+        470: lambda: pad.deliver(LET_GO + REST + LB + FULL),
+        520: lambda: pad.deliver(QUIT),
     }
     poll = Gamepad.poll
     ticks = itertools.count()
@@ -261,55 +248,20 @@ def test_drive_gamepad_stops_in_the_tick_in_which_lb_is_let_go_or_the_cable_pull
     path = tmp_path / "drive.mcap"
     robot = Robot(open_link("planar", config), config, recorder=Recorder(path, {"command": "test"}))
     teleop.drive_gamepad(robot, str(pad.path))
-    (episode,) = read(path).episodes
+    pad.pull()
+    driven, released = read(path).episodes
+    commands = np.concatenate([driven.asked, released.asked])
+    sent = np.concatenate([driven.sent, released.sent])
+    zero = (0.0, 0.0)
     full = (config.max_linear, 0.0)
     turn = (0.0, config.max_angular)
-    spans = ((0, 60, (0.0, 0.0)), (60, 160, full), (160, 200, (0.0, 0.0)), (200, 260, turn))
-    for start, end, twist in (*spans, (260, 400, (0.0, 0.0))):
-        assert set(map(tuple, episode.asked[start:end].tolist())) == {twist}, start
-        assert (episode.sent[start:end] == 0.0).all() == (twist == (0.0, 0.0))
-        assert episode.sent[end - 1].tolist() == pytest.approx(twist)
-    assert len(episode.asked) == 400
-
-
-def test_drive_gamepad_on_real_wheels(
-    pad: EmulatedPad, emulator: Emulated, robot_file: RobotFile, config: RobotConfig
-) -> None:
-    options = ("--link", emulator.device, "--robot", str(robot_file()))
-    fastest = on_the_wire(config, config.max_linear, 0.0)
-    stops: tuple[Callable[[], object], ...] = (lambda: pad.send(LET_GO + REST), pad.pull)
-    with open_screen(*options, "--gamepad", str(pad.path), program=WITH_PAD) as screen:
-        wait_until(lambda: "feedback" in screen.look(), "the status line")
-        for stop in stops:
-            pad.send(LB + FULL)
-            wait_until(lambda: fastest in emulator.commands()[-10:], "full speed")
-            stop()
-            check_at_rest(emulator)
-        wait_until(lambda: "lost" in screen.look(), "the message")
-        pad.plug()
-        wait_until(lambda: "press LB to drive on" in screen.look(), "a pad that is back")
-
-        # After an emergency stop, LB has to be pressed again.
-        for stop in (lambda: pad.send(STOP), stop_all):
-            screen.shown = ""
-            pad.send(LB + FULL)
-            wait_until(emulator.is_driven, "a command that turns the wheels")
-            stop()
-            wait_until(lambda: "Start releases it" in screen.look(), "the reason")
-            check_at_rest(emulator, lambda: pad.send(LET_GO + REST + LB + FULL))
-            pad.send(START)
-            screen.shown = ""
-            wait_until(lambda: "EMERGENCY" not in last_line(screen), "the release")
-            check_at_rest(emulator)
-            pad.send(LET_GO + REST)
-        pad.send(LB + FULL)
-        wait_until(emulator.is_driven, "a command that turns the wheels")
-        pad.send(QUIT)
-        assert screen.wait() == 0
-    wait_until(emulator.is_stopped, "zero as the last command")
-
-
-def last_line(screen: Screen) -> str:
-    """The newest status line that is whole. "EMERGENCY" as long as there is none."""
-    lines = screen.look().split("\r")
-    return lines[-2] if len(lines) > 2 else "EMERGENCY"
+    spans = ((0, 60, zero), (60, 160, full), (160, 200, zero), (200, 260, turn), (260, 360, zero))
+    for start, end, twist in (*spans, (360, 420, full), (450, 470, zero), (470, 520, full)):
+        assert set(map(tuple, commands[start:end].tolist())) == {twist}, start
+        assert (sent[start:end] == 0.0).all() == (twist == zero)
+        assert sent[end - 1].tolist() == pytest.approx(twist)
+    assert (sent[420:450] == 0.0).all()
+    assert (len(driven.asked), len(commands)) == (450, 520)
+    error = capsys.readouterr().err
+    assert "pad: lost; the robot is held until it is plugged in again" in error
+    assert "pad: back; press LB to drive on" in error

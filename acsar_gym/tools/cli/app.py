@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
+import itertools
 import os
 import shlex
 import sys
@@ -52,6 +53,7 @@ def parse_command(words: list[str]) -> Any:
         return 0 if words else 2
 
     name = find_name(words)
+    # A group such as "worlds" is no command: its second word is part of the mistyped name.
     if not name:
         is_group = any(name.startswith(f"{words[0]} ") for name in COMMANDS)
         typed = " ".join(words[: 1 + is_group])
@@ -67,6 +69,7 @@ def parse_command(words: list[str]) -> Any:
 
 def find_name(words: list[str]) -> str:
     """Return the name of the command of a command line, such as "worlds show". "" for none."""
+    # The commands of a group have names of two words.
     names = (" ".join(words[:2]), *words[:1])
     return next((name for name in names if name in COMMANDS), "")
 
@@ -79,12 +82,15 @@ def join_ros_arguments(words: list[str]) -> list[str]:
     # tyro takes a list of words that begin with dashes only as one word.
     options: list[str] = []
     ros: list[str] = []
-    is_ros = False
-    for word in words:
-        if word == "--ros-args" or (is_ros and word == "--"):
-            is_ros = word == "--ros-args"
+    remaining = iter(words)
+    for word in remaining:
+        if word == "--ros-args":
+            ros += itertools.takewhile(lambda word: word != "--", remaining)
         else:
-            (ros if is_ros else options).append(word)
+            options.append(word)
+
+    # ROS's launch repeats the word without ending the first list.
+    ros = [word for word in ros if word != "--ros-args"]
     return [*options, f"--ros-args={shlex.join(ros)}"] if ros else options
 
 
@@ -97,6 +103,7 @@ def main() -> None:
     if "" not in sys.path:
         sys.path.append("")  # a user's modules are in the current folder
 
+    # Files that a command writes contain its name, which lets the same command replace them.
     words = sys.argv[1:]
     name = find_name(words)
     COMMAND.set(name)

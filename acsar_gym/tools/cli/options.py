@@ -176,6 +176,7 @@ class RecordOptions:
         from acsar_gym.recording import Recorder
         from acsar_gym.recording.writer import check_target
 
+        # The recorder opens its file later, so a wrong path is refused here.
         sinks = []
         if self.record is not None:
             check_target(self.record)

@@ -31,6 +31,20 @@ ENVIRONMENT_STATE = "observation.environment_state"
 """The same numbers as STATE: LeRobot's policies want this one if there is no camera."""
 QUANTILES = (0.01, 0.1, 0.5, 0.9, 0.99)
 TASK_INDEX = "__index_level_0__"  # how pandas names an index without a name
+TASKS_FORMAT = {
+    "index_columns": [TASK_INDEX],
+    "column_indexes": [],
+    "columns": [
+        {
+            "name": None,
+            "field_name": TASK_INDEX,
+            "pandas_type": "unicode",
+            "numpy_type": "object",
+            "metadata": None,
+        }
+    ],
+}
+"""Metadata of meta/tasks.parquet, which pandas reads with the task as its index."""
 Columns = dict[str, NDArray[Any]]
 
 
@@ -65,7 +79,7 @@ def write_lerobot(data: Demonstrations, folder: Path, _name: str = "") -> Path:
     write_table(f"data/{FIRST_FILE}", columns)
     write_table(f"meta/episodes/{FIRST_FILE}", {key: [row[key] for row in rows] for key in rows[0]})
     tasks = {"task_index": [0], TASK_INDEX: [data.env_id]}
-    write_table("meta/tasks.parquet", tasks, {"pandas": json.dumps(_describe_tasks())})
+    write_table("meta/tasks.parquet", tasks, {"pandas": json.dumps(TASKS_FORMAT)})
     for name, content in (("stats", _summarize(frames)), ("info", _make_info(data, frames))):
         text = json.dumps(content, indent=4)
         write_atomically(folder / f"meta/{name}.json", text.encode())
@@ -137,20 +151,6 @@ def _summarize(frames: Columns) -> dict[str, dict[str, list[Any]]]:
             statistics[f"q{round(100 * share):02d}"] = numbers
         summary[key] = {name: numbers.tolist() for name, numbers in statistics.items()}
     return summary
-
-
-def _describe_tasks() -> dict[str, Any]:
-    """Metadata of meta/tasks.parquet, which pandas reads with the task as its index."""
-
-    def describe(name: str | None, field: str, kind: str, numpy_kind: str) -> dict[str, Any]:
-        types = {"pandas_type": kind, "numpy_type": numpy_kind}
-        return {"name": name, "field_name": field, **types, "metadata": None}
-
-    columns = [
-        describe("task_index", "task_index", "int64", "int64"),
-        describe(None, TASK_INDEX, "unicode", "object"),
-    ]
-    return {"index_columns": [TASK_INDEX], "column_indexes": [], "columns": columns}
 
 
 def _make_info(data: Demonstrations, frames: Columns) -> dict[str, Any]:

@@ -18,8 +18,6 @@ import rerun as rr
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, require_extra
-from acsar_gym.links.factory import is_device
-from acsar_gym.physics.bodies import BODIES
 from acsar_gym.recording import Episode, Recording, read
 from acsar_gym.recording.blocks import Head
 from acsar_gym.recording.events import Tables
@@ -94,15 +92,6 @@ class RerunSink(Sink):
         lost = f"; {dropped:,} events were dropped" if dropped else ""
         with contextlib.suppress(Exception):
             self.end(f"the recording ends{lost}", "WARN" if dropped else "INFO")
-
-
-def find_recording(source: str) -> Path:
-    """Return the path of a recording. Raises ConfigError if it is a link."""
-    path = Path(source.removeprefix("replay:"))
-    is_recording = path.suffix == ".mcap" or path.is_file() or path.is_dir()
-    if not is_recording and (source in BODIES or source == "serial" or is_device(source)):
-        raise ConfigError(f"{source}: isn't a recording: drive with --view to watch the robot")
-    return path
 
 
 def write_recording(recording: Recording, connect: Connect) -> int:

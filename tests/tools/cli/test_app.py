@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 from bag_tools import make_bag, write_mcap
-from cli_tools import Call, assert_one_line
+from cli_tools import assert_one_line
 from recording_tools import drive
 from serial_tools import RobotFile
-from zip_tools import poison, save
+from zip_tools import save
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import RecordingWarning
@@ -33,131 +33,97 @@ finally:
 """
 
 
-def test_help_lists_all_commands(call: Call) -> None:
-    code, out, error = call("--help")
-    assert (code, error) == (0, "")
+def test_help_lists_all_commands(call: Any) -> None:
+    out = call.succeed("--help")
     for name, command in COMMANDS.items():
         assert f"  {name} " in out
         assert (command.function.__doc__ or "").splitlines()[0] in out
     assert call() == (2, out, "")
 
 
-@pytest.mark.parametrize("words", ["--help", "worlds convert --help"])
-def test_help_imports_nothing_heavy(words: str) -> None:
-    command = [sys.executable, "-c", HEAVY, *words.split()]
+def test_help_imports_nothing_heavy() -> None:
+    command = [sys.executable, "-c", HEAVY, "worlds", "convert", "--help"]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     assert done.stderr == "\n"
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("drve", "/dev/ttyUSB0"), "'drve': no such command; did you mean 'drive'?"),
-        (("record", "infos"), "'record infos': no such command; did you mean 'record info'?"),
-    ],
+    ("words", "typed", "meant"),
+    [("drve /dev/ttyUSB0", "drve", "drive"), ("record infos", "record infos", "record info")],
 )
-def test_a_mistyped_command_is_one_line(words: tuple[str, ...], message: str, call: Call) -> None:
-    code, out, error = call(*words)
+def test_a_mistyped_command_is_one_line(words: str, typed: str, meant: str, call: Any) -> None:
+    code, out, error = call(words)
     assert (code, out) == (2, "")
-    assert_one_line(error, message)
+    assert_one_line(error, f"'{typed}': no such command; did you mean '{meant}'?")
 
 
-@pytest.mark.parametrize("words", ["run 1", "emulate --body"])
-def test_options_that_cannot_be_parsed_have_no_traceback(words: str, call: Call) -> None:
-    code, _, error = call(*words.split())
+def test_options_that_cannot_be_parsed_have_no_traceback(call: Any) -> None:
+    code, _, error = call("emulate --body")
     assert code == 2
     assert error
     assert "Traceback" not in error
 
 
 def test_record_on_a_full_disk_keeps_the_results(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*arguments: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("acsar_gym.recording.writer.RecordingWriter.flush", fail)
     figures = tmp_path / "figures.json"
-    evaluate = ("evaluate", "--link", "planar", "--episodes", "2")
+    evaluate = f"evaluate --link planar --episodes 2 --json {figures} --record"
     with pytest.warns(RecordingWarning, match=r"tape.mcap: can't be written: No space left on"):
-        code, out, error = call(*evaluate, "--record", tmp_path / "tape.mcap", "--json", figures)
+        code, out, error = call(evaluate, tmp_path / "tape.mcap")
     assert code == 2
     assert "2/2 (100.0%)" in out
     assert figures.exists()
     assert_one_line(error, "tape.mcap: the recording isn't whole")
 
 
-def test_trust_is_needed_for_a_zip(tmp_path: Path, call: Call) -> None:
+def test_trust_is_needed_for_a_zip(tmp_path: Path, call: Any) -> None:
     model = save(tmp_path / "model.zip")
-    marker = tmp_path / "marker"
-    bad = poison(model, "data", marker, tmp_path / "bad.zip")
     out = tmp_path / "out.onnx"
-    code, _, error = call("policy", bad, "--out", out)
-    assert code == 2
-    assert_one_line(error, f"{bad}: a stable-baselines3 zip can run any code")
-    assert "--trust" in error
-    assert not marker.exists()
+    call.refuse("can run any code when it's loaded: pass --trust", f"policy {model} --out {out}")
     assert not out.exists()
-    assert call("policy", model, "--out", out, "--trust")[2] == ""
+    assert call(f"policy {model} --out {out} --trust")[2] == ""
     assert out.exists()
 
 
 def test_replay_has_the_figures_of_the_recorded_run(
-    call: Call, robot_file: RobotFile, tmp_path: Path
+    robot_file: RobotFile, tmp_path: Path, call: Any
 ) -> None:
     def read(name: str) -> dict[str, Any]:
         data = json.loads((tmp_path / name).read_text(encoding="utf-8"))
         names = ("success_rate", "time_to_goal", "path", "smoothness", "ticks")
         return {key: data[key] for key in names}
 
-    run = ("run", "0.6", "0.2", "--robot", robot_file())
+    run = f"run 0.6 0.2 --robot {robot_file()} --json {tmp_path}"
     tape = tmp_path / "tape.mcap"
-    live = ("--link", "planar", "--record", tape, "--json", tmp_path / "live.json")
-    code, out, error = call(*run, *live)
-    assert (code, error) == (0, "")
+    out = call.succeed(f"{run}/live.json --link planar --record {tape}")
     assert "behind the wire" in out
-    replayed = ("--link", f"replay:{tape}", "--json", tmp_path / "replay.json")
-    assert call(*run, *replayed)[::2] == (0, "")
+    call.succeed(f"{run}/replay.json --link replay:{tape}")
     assert read("replay.json") == read("live.json")
     assert read("live.json")["ticks"] > 20
 
 
-def test_view_saves_a_file_for_rerun(call: Call, tmp_path: Path) -> None:
-    tape = drive(tmp_path / "tape.mcap", RobotConfig.of(None))
-    out = tmp_path / "tape.rrd"
-    for _ in range(2):  # replaces its own file
-        code, text, error = call("view", tape, "--save", out)
-        assert (code, error) == (0, "")
-        assert text.startswith(f"{out}: 1 episode, ")
-    out.write_text("mine", encoding="utf-8")
-    assert call("view", tape, "--save", out)[0] == 2
-    code, _, error = call("view", "planar", "--save", tmp_path / "new.rrd")
-    assert code == 2
-    assert_one_line(error, "planar")
-
-
-def test_bags_are_read_as_recordings(call: Call, tmp_path: Path) -> None:
+def test_bags_are_read_as_recordings(tmp_path: Path, call: Any) -> None:
     tape = drive(tmp_path / "tape.mcap", RobotConfig.preset("acsar"), 600)
     topics = {"/joint_states": "/joint_states", "/cmd_vel_sent": "/cmd_vel", "/scan": "/scan"}
     bag = write_mcap(tmp_path / "bag.mcap", make_bag(tape, topics))
-    results: list[tuple[tuple[str | Path, ...], str]] = [
-        (("record", "info", bag), "1 episode, 6.0 s"),
-        (("record", "export", bag, "--to", "csv"), "ticks.csv"),
-        (("gap", bag), "1 held-out episode"),
-        (("identify", "--from", bag), "motor.time_constant"),
-    ]
-    for command, result in results:
-        code, out, error = call(*command, "--robot", "acsar")
-        assert (code, error) == (0, "")
+    for line, result in (
+        (f"record info {bag}", "1 episode, 6.0 s"),
+        (f"record export {bag} --to csv", "ticks.csv"),
+        (f"gap {bag}", "1 held-out episode"),
+        (f"identify --from {bag}", "motor.time_constant"),
+    ):
+        out = call.succeed(line, "--robot", "acsar")
         assert result in out
     assert (tmp_path / "bag" / "ticks.csv").exists()
 
-    errors: list[tuple[tuple[str | Path, ...], str]] = [
-        (("record", "info", bag), "is a ROS 2 bag: name its robot with --robot PRESET|FILE"),
-        (("identify", "planar", "--from", bag), "--from: give a device, or recordings with --from"),
-        (("gap", tape, "--robot", "acsar", "--topics", "/robot1"), "--topics is for ROS 2 bags"),
-    ]
-    for command, message in errors:
-        code, _, error = call(*command)
-        assert code == 2
-        assert_one_line(error, message)
+    for line, message in (
+        (f"record info {bag}", "is a ROS 2 bag: name its robot with --robot PRESET|FILE"),
+        (f"identify planar --from {bag}", "--from: give a device, or recordings with --from"),
+        (f"gap {tape} --robot acsar --topics /robot1", "--topics is for ROS 2 bags"),
+    ):
+        call.refuse(message, line)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
-from cli_tools import Call, assert_one_line
 from serial_tools import TRIALS, RobotFile, StartEmulator, wait_until
 
 from acsar_gym import RobotConfig
@@ -29,16 +29,16 @@ def guess(config: RobotConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_doctor_commissions_an_odd_board(
-    start_emulator: StartEmulator, call: Call, guess: Path, tmp_path: Path
+    start_emulator: StartEmulator, call: Any, guess: Path, tmp_path: Path
 ) -> None:
     """Only eyes can tell that the sides are swapped at the motors."""
     odd = start_emulator("--quirk", *ODD.split())
     out = tmp_path / "found.yaml"
     report = tmp_path / "out.json"
-    options = ("--robot", guess, "--out", out, "--json", report, "--saw", "b", "a", "d", "c")
+    files = f"--robot {guess} --out {out} --json {report}"
     for _ in range(TRIALS):
         out.unlink(missing_ok=True)
-        code, text, error = call("doctor", odd.device, "--spin", "--yes", *options)
+        code, text, error = call(f"doctor {odd.device} --spin --yes {files} --saw b a d c")
         assert not error
         if code != 0:
             continue
@@ -56,14 +56,14 @@ def test_doctor_commissions_an_odd_board(
 
 
 def test_doctor_writes_no_file_for_a_wheel_that_its_board_drives_away(
-    start_emulator: StartEmulator, call: Call, guess: Path, tmp_path: Path
+    start_emulator: StartEmulator, call: Any, guess: Path, tmp_path: Path
 ) -> None:
     emulated = start_emulator("--quirk", "runaway=a")
     out = tmp_path / "found.yaml"
     report = tmp_path / "out.json"
-    options = ("--robot", guess, "--out", out, "--json", report)
+    files = f"--robot {guess} --out {out} --json {report}"
     for _ in range(TRIALS):
-        code, _, error = call("doctor", emulated.device, "--spin", "--yes", *options)
+        code, _, error = call(f"doctor {emulated.device} --spin --yes {files}")
         assert (code, error) == (1, "")
         if "set ENCODER_REVERSED" in report.read_text():
             break
@@ -74,15 +74,12 @@ def test_doctor_writes_no_file_for_a_wheel_that_its_board_drives_away(
 
 
 def test_a_board_that_echoes_is_refused_in_one_line(
-    start_emulator: StartEmulator, robot_file: RobotFile, call: Call
+    start_emulator: StartEmulator, robot_file: RobotFile, call: Any
 ) -> None:
     device = start_emulator("--quirk", "echo").device
-    robot = ("--robot", robot_file())
-    code, out, _ = call("doctor", device, "--spin", "--yes", *robot)
+    options = f"{device} --yes --robot {robot_file()}"
+    code, out, _ = call(f"doctor {options} --spin")
     assert code == 1
     assert "this board echoes" in " ".join(out.split())
 
-    code, _, error = call("identify", device, "--yes", *robot)
-    assert code == 3
-    assert_one_line(error, f"{device}: this board echoes: it sends each command back")
-    assert "delete the echo from the board's program" in error
+    call.refuse("delete the echo from the board's program", f"identify {options}", code=3)

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from boards import FailingLink
-from cli_tools import Call, assert_one_line
 
 from acsar_gym import open_link
 from acsar_gym.errors import EmergencyStopError
@@ -19,8 +18,8 @@ from acsar_gym.tools.evaluation import episodes as evaluation
 from acsar_gym.tools.evaluation import runs
 from acsar_gym.tools.evaluation.episode import Episode
 
-EVALUATE = ("evaluate", "--link", "planar", "--episodes", "5")
-RUN = ("run", "1", "0", "--link", "planar")
+EVALUATE = "evaluate --link planar --episodes 5"
+RUN = "run 1 0 --link planar"
 
 
 @pytest.fixture
@@ -48,18 +47,18 @@ def end_early(monkeypatch: pytest.MonkeyPatch) -> Any:
     ids=["estop", "Ctrl-C", "run"],
 )
 def test_results_contain_the_finished_episodes(
-    command: tuple[str, ...],
+    command: str,
     error: BaseException,
     code: int,
     message: str,
     finished: int,
     end_early: Any,
-    call: Call,
+    call: Any,
     tmp_path: Path,
 ) -> None:
     end_early(error, finished)
     file = tmp_path / "figures.json"
-    status, out, errors = call(*command, "--json", file)
+    status, out, errors = call(f"{command} --json {file}")
     assert status == code
     assert message in errors
     ended = f"Ended after {finished} of 5 episodes: {message}"
@@ -70,7 +69,7 @@ def test_results_contain_the_finished_episodes(
 
 
 def test_evaluate_counts_a_fault_and_no_time_out(
-    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    call: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     make_env = runs.make_env
 
@@ -79,9 +78,7 @@ def test_evaluate_counts_a_fault_and_no_time_out(
 
     monkeypatch.setattr(runs, "make_env", make_failing)
     file = tmp_path / "figures.json"
-    status, out, error = call(*EVALUATE, "--json", file)
-    assert status == 3
-    assert_one_line(error, "unplugged")
+    out = call.refuse("unplugged", f"{EVALUATE} --json {file}", code=3)
     assert re.search(r"fault \[%\] +│ +100\.0 ", out)
     assert re.search(r"time-out \[%\] +│ +0\.0 ", out)
     assert "Faults: " in out
@@ -99,11 +96,11 @@ def test_evaluate_counts_a_fault_and_no_time_out(
     ids=["evaluate", "run", "not there"],
 )
 def test_invalid_episodes_have_an_exit_code(
-    command: tuple[str, ...],
+    command: str,
     success: bool,
     code: int,
     message: str,
-    call: Call,
+    call: Any,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     run_resets = evaluation.run_resets
@@ -113,20 +110,17 @@ def test_invalid_episodes_have_an_exit_code(
             yield dataclasses.replace(result, valid=False, success=success)
 
     monkeypatch.setattr(evaluation, "run_resets", run_late)
-    status, out, error = call(*command)
+    status, out, error = call(command)
     assert status == code
     assert message in error
     assert "invalid" in out
 
 
 def test_run_drives_to_goals_beyond_the_training_with_goal_distance(
-    call: Call, tmp_path: Path
+    tmp_path: Path, call: Any
 ) -> None:
     file = tmp_path / "figures.json"
-    run = ("run", "6.5", "-1", "--link", "planar")
-    assert call(*run, "--goal-distance", "0.2", "8", "--json", file)[::2] == (0, "")
+    run = "run 6.5 -1 --link planar"
+    call.succeed(f"{run} --goal-distance 0.2 8 --json {file}")
     assert json.loads(file.read_text())["success_rate"] == 1.0
-    code, _, error = call(*run)
-    assert code == 2
-    assert_one_line(error, "must lie 0.5 to 3 m from the start")
-    assert "--goal-distance" in error
+    call.refuse("3 m from the start: give the env another goal_distance, run --goal-distance", run)

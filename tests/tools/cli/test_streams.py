@@ -42,10 +42,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ("line", "code", "error"),
     [
         ("acsar-gym run 1 0 --link planar >&-", 0, ""),
-        ("acsar-gym run 1 0 --link planar | true", 141, ""),
         ("acsar-gym record info tape.mcap | true", 141, ""),
         ("acsar-gym record info tape.mcap >/dev/full", 2, FULL),
-        ("acsar-gym --version >/dev/full", 2, FULL),
         ("acsar-gym worlds check missing.yaml 2>/dev/full", 2, ""),
     ],
 )

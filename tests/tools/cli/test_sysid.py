@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
-import yaml
 from boards import make_link, parse_quirks
-from cli_tools import Call, assert_one_line
 from rollout_tools import HIDDEN, random_steps
 
 from acsar_gym import Robot, RobotConfig, links, open_link
@@ -17,67 +16,63 @@ from acsar_gym.recording import Recorder
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
+ACSAR = RobotConfig.preset("acsar")
+ROBOT = ACSAR.with_(**HIDDEN)
+QUICK = "--distance 0.6 --repeats 1"
 
-def test_identify_writes_no_file_of_wheels_that_dont_obey(call: Call, tmp_path: Path) -> None:
+
+def test_identify_writes_no_file_of_wheels_that_dont_obey(tmp_path: Path, call: Any) -> None:
     twin = tmp_path / "twin.yaml"
     out = tmp_path / "mine.yaml"
     swapped = {"a": {"motor": "b"}, "b": {"motor": "a"}}
-    RobotConfig.preset("acsar").with_(wheels=swapped).save(twin)
-    options = ("--twin", twin, "--duration", "12", "--out", out, "--anyway")
-    code, _, error = call("identify", "planar", *options)
-    assert code == 1
-    assert_one_line(error, "front_right answers front_left's command: run 'acsar-gym doctor DEV")
+    ACSAR.with_(wheels=swapped).save(twin)
+    call.refuse(
+        "front_right answers front_left's command: run 'acsar-gym doctor DEV",
+        f"identify planar --twin {twin} --duration 12 --out {out} --anyway",
+        code=1,
+    )
     assert not out.exists()
 
 
 @pytest.mark.usefixtures("inside")
 def test_identify_refuses_a_board_outside_the_model_unless_anyway(
-    call: Call, tmp_path: Path
+    call: Any, tmp_path: Path
 ) -> None:
     out = tmp_path / "mine.yaml"
     figures = tmp_path / "found.json"
     twin = tmp_path / "twin.yaml"
-    RobotConfig.preset("acsar").with_(motor={"gain": 1.5}).save(twin)
-    identify = ("identify", "planar", "--twin", twin, "--duration", "12", "--out", out)
-    code, _, error = call(*identify, "--json", figures)
-    assert code == 1
+    ACSAR.with_(motor={"gain": 1.5}).save(twin)
+    identify = f"identify planar --twin {twin} --duration 12 --out {out}"
     misfit = "doesn't fit: every wheel reports 1.50 times the expected speed"
-    assert_one_line(error, misfit)
+    call.refuse(misfit, f"{identify} --json {figures}", code=1)
     assert json.loads(figures.read_text())["model"].startswith(misfit)
     assert not out.exists()
 
     # A file that was written anyway has a remark, which gap and run repeat.
-    assert call(*identify, "--anyway")[0] == 0
+    assert call(f"{identify} --anyway")[0] == 0
     robot = RobotConfig.load(out)
     assert robot.motor_fit.startswith(misfit)
     assert not robot.measured
     remark = "mine.yaml: this robot's simulation doesn't fit: "
-    gap = ("gap", "log0.mcap", "--robot", "robot.yaml", "--before", out)
-    assert remark in call(*gap)[1]
-    RobotConfig.preset("acsar").with_(motor_fit="doesn't fit: holds at reversals").save(out)
-    run = ("run", "0.6", "0.2", "--link", "planar", "--robot", out)
-    assert f"{remark}holds at reversals" in call(*run)[1]
-
-
-QUICK = ("--distance", "0.6", "--turns", "1", "--repeats", "1")
+    assert remark in call(f"gap log0.mcap --robot robot.yaml --before {out}")[1]
+    ACSAR.with_(motor_fit="doesn't fit: holds at reversals").save(out)
+    assert f"{remark}holds at reversals" in call(f"run 0.6 0.2 --link planar --robot {out}")[1]
 
 
 @pytest.fixture
 def twin(tmp_path: Path) -> Path:
     """A robot that turns as one with a longer wheelbase, and has larger wheels."""
     path = tmp_path / "twin.yaml"
-    RobotConfig.preset("acsar").with_(wheel_radius=0.051, wheelbase=0.27).save(path)
+    ACSAR.with_(wheel_radius=0.051, wheelbase=0.27).save(path)
     return path
 
 
-def test_calibrate_in_simulation_writes_a_robot_file(
-    call: Call, twin: Path, tmp_path: Path
-) -> None:
+def test_calibrate_in_simulation_writes_a_robot_file(call: Any, twin: Path, tmp_path: Path) -> None:
     out = tmp_path / "my.yaml"
     result = tmp_path / "result.json"
     out.write_text("# Mine, with new tyres.\nwheel_radius: 0.05   # the maker's\n")
-    options = ("--twin", twin, "--out", out, "--json", result)
-    code, text, _ = call("calibrate", "planar", "all", *QUICK, *options)
+    files = f"--twin {twin} --out {out} --json {result}"
+    code, text, _ = call(f"calibrate planar all {QUICK} --turns 1 {files}")
     assert code == 0
 
     first, second = out.read_text().splitlines()[:2]
@@ -98,7 +93,7 @@ def test_calibrate_in_simulation_writes_a_robot_file(
 
 
 def test_calibrate_uses_runs_that_were_finished_before_a_stall(
-    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    call: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A board that hangs 8 s after it began: in the turn, which takes longer."""
 
@@ -107,38 +102,28 @@ def test_calibrate_uses_runs_that_were_finished_before_a_stall(
 
     monkeypatch.setattr(links, "open_link", open_quirky)
     out = tmp_path / "my.yaml"
-    drive = ("--distance", "0.6", "--repeats", "1")
-    code, text, error = call("calibrate", "planar", "all", *drive, "--out", out)
-    assert code == 3
+    calibrate = f"calibrate planar all {QUICK} --out {out}"
+    text = call.refuse("no feedback", calibrate, code=3)
     assert "1 finished runs are used" in text
     assert "wheel_radius" in text
-    assert_one_line(error, "no feedback")
     assert set(RobotConfig.load(out).measured) >= {"wheel_radius"}
 
 
-def test_calibrate_with_readings_given_later(call: Call, tmp_path: Path) -> None:
+def test_calibrate_with_readings_given_later(call: Any, tmp_path: Path) -> None:
     mine = tmp_path / "my.yaml"
     out = tmp_path / "out.yaml"
     record = tmp_path / "calibration.mcap"
-    config = RobotConfig.preset("acsar").with_(motor={"time_constant": 0.14})
+    config = ACSAR.with_(motor={"time_constant": 0.14})
     config.save(mine)
-    options = ("--record", record, "--robot", mine)
-    drive = ("--distance", "0.6", "--repeats", "1", "--measured", "0.6")
-    assert call("calibrate", "planar", "straight", *drive, *options)[0] == 0
+    drive = f"{QUICK} --measured 0.6 --record {record} --robot {mine}"
+    assert call(f"calibrate planar straight {drive}")[0] == 0
 
-    code, text, _ = call("calibrate", record, "straight")
-    assert code == 0
-    assert "no run has a reading" in text
-    readings = ("--measured", "0.61", "--out", out)
-    code, text, _ = call("calibrate", record, "all", *readings)
+    assert "no run has a reading" in call(f"calibrate {record} straight")[1]
+    code, text, _ = call(f"calibrate {record} all --measured 0.61 --out {out}")
     assert code == 0
     assert "distance 0.610 m" in text
     assert RobotConfig.load(out).motor == config.motor
     assert RobotConfig.load(out).wheel_radius == pytest.approx(0.0496, rel=0.01)
-
-
-ACSAR = RobotConfig.preset("acsar")
-ROBOT = ACSAR.with_(**HIDDEN)
 
 
 @pytest.fixture(scope="module")
@@ -151,8 +136,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ) as robot:
             for speeds in random_steps(seed, 4.0, ACSAR):
                 robot.tick(speeds)
-    fitted = {**yaml.safe_load(ACSAR.model_dump_json()), **HIDDEN}
-    (folder / "robot.yaml").write_text(yaml.safe_dump(fitted), encoding="utf-8")
+    ROBOT.save(folder / "robot.yaml")
     return folder
 
 
@@ -162,10 +146,8 @@ def inside(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return files
 
 
-def test_gap_of_the_right_robot_is_small(inside: Path, call: Call) -> None:
-    logs = ("log0.mcap", "log1.mcap", "--robot", "robot.yaml")
-    code, out, error = call("gap", *logs, "--json", "gap.json")
-    assert (code, error) == (0, "")
+def test_gap_of_the_right_robot_is_small(inside: Path, call: Any) -> None:
+    out = call.succeed("gap log0.mcap log1.mcap --robot robot.yaml --json gap.json")
     assert "2 held-out episodes, 8 s: wheel speeds from" in out
     data = json.loads((inside / "gap.json").read_text())
     unfitted = data["before"]["figures"]
@@ -175,10 +157,9 @@ def test_gap_of_the_right_robot_is_small(inside: Path, call: Call) -> None:
 
 
 @pytest.mark.usefixtures("inside")
-def test_identify_explains_a_short_log(call: Call, tmp_path: Path) -> None:
+def test_identify_explains_a_short_log(tmp_path: Path, call: Any) -> None:
     out = tmp_path / "mine.yaml"
-    code, text, error = call("identify", "log0.mcap", "--out", out)
-    assert code == 1
-    assert_one_line(error, "nothing to write: nothing new was found")
+    nothing = "nothing to write: nothing new was found"
+    text = call.refuse(nothing, f"identify log0.mcap --out {out}", code=1)
     assert "4.0 s of log: needs 5 s or more" in " ".join(text.split())
     assert not out.exists()

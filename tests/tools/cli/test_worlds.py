@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-
-from cli_tools import Call, assert_one_line
+from typing import Any
 
 from acsar_gym.worlds import Region
 from acsar_gym.worlds.files import load_world
@@ -24,45 +23,35 @@ def write_map(folder: Path) -> Path:
     return folder / "map.yaml"
 
 
-def test_worlds_convert_adds_start_and_goal(call: Call, tmp_path: Path) -> None:
+def test_worlds_convert_adds_start_and_goal(call: Any, tmp_path: Path) -> None:
     room = write_map(tmp_path)
-    evaluate = ("evaluate", "--policy", "obstacle_goal", "--link", "planar", "--episodes", "1")
-    for command in (("worlds", "check", room), (*evaluate, "--worlds", room)):
-        code, _, error = call(*command)
-        assert code == 2
-        assert_one_line(error, "has no start and no goal: run 'acsar-gym worlds convert FILE")
+    evaluate = "evaluate --policy obstacle_goal --link planar --episodes 1 --worlds"
+    for line in (f"worlds check {room}", f"{evaluate} {room}"):
+        call.refuse("has no start and no goal: run 'acsar-gym worlds convert FILE", line)
 
     out = tmp_path / "room.yaml"
-    convert = ("worlds", "convert", room, out, "--start", "-1,-1,0.5")
-    code, _, error = call(*convert)
-    assert code == 2
-    assert_one_line(error, "has no goal")
-    assert call(*convert, "--goal", "1.2,1")[0] == 0
+    convert = f"worlds convert {room} {out} --start -1,-1,0.5"
+    call.refuse("has no goal", convert)
+    assert call(f"{convert} --goal 1.2,1")[0] == 0
     world = load_world(out)
     assert (world.start, world.goal) == (Region(-1.0, -1.0, 0.0, 0.5), Region(1.2, 1.0))
     assert world.obstacles >= 8
 
-    code, text, error = call("worlds", "check", out)
-    assert (code, error) == (0, "")
+    text = call.succeed(f"worlds check {out}")
     assert "2.97" in text, "the straight line between them"
     result = tmp_path / "figures.json"
-    code, text, error = call(*evaluate, "--worlds", out, "--json", result)
-    assert (code, error) == (0, "")
+    call.succeed(f"{evaluate} {out} --json {result}")
     assert json.loads(result.read_text())["header"]["worlds"]["sets"].startswith(str(out))
 
 
-def test_worlds_check_finds_a_goal_outside(call: Call, tmp_path: Path) -> None:
+def test_worlds_check_finds_a_goal_outside(call: Any, tmp_path: Path) -> None:
     out = tmp_path / "room.json"
-    ends = ("--start", "-1,-1", "--goal", "3,0")
-    assert call("worlds", "convert", write_map(tmp_path), out, *ends)[0] == 0
-    code, text, _ = call("worlds", "check", out)
+    call.succeed(f"worlds convert {write_map(tmp_path)} {out} --start -1,-1 --goal 3,0")
+    code, text, _ = call(f"worlds check {out}")
     assert code == 1
     assert "no way from start to goal" in " ".join(text.split())
 
 
-def test_worlds_convert_refuses_ends_for_generated_worlds(call: Call, tmp_path: Path) -> None:
-    out = tmp_path / "out.yaml"
-    convert = ("worlds", "convert", "clutter:2-2", out, "--start", "1,2")
-    code, _, error = call(*convert)
-    assert code == 2
-    assert_one_line(error, "generated worlds have a start and a goal of their own")
+def test_worlds_convert_refuses_ends_for_generated_worlds(call: Any) -> None:
+    convert = "worlds convert clutter:2-2 out.yaml --start 1,2"
+    call.refuse("generated worlds have a start and a goal of their own", convert)

@@ -18,7 +18,7 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.recording import Recorder, read
 from acsar_gym.recording.events import TABLES
 from acsar_gym.tools.view.entities import EpisodeLogger
-from acsar_gym.tools.view.show import RerunSink, find_recording, save_recording, start_viewer
+from acsar_gym.tools.view.show import RerunSink, save_recording, start_viewer
 from acsar_gym.worlds.world import to_odometry
 
 pytestmark = [pytest.mark.usefixtures("deadline"), pytest.mark.xdist_group(__name__)]
@@ -183,17 +183,3 @@ def test_episode_logger_logs_what_happens(tape: Path, monkeypatch: pytest.Monkey
         "runs into a mover",
         "the cable is out",
     ]
-
-
-def test_save_recording_writes_nothing_of_a_cut_file(tape: Path, tmp_path: Path) -> None:
-    path = tmp_path / "bad.mcap"
-    path.write_bytes(tape.read_bytes()[:300])
-    with pytest.raises(ConfigError, match=r"bad\.mcap: "):
-        save_recording(path, tmp_path / "bad.rrd")
-    assert not (tmp_path / "bad.rrd").exists()
-
-
-@pytest.mark.parametrize("source", ["planar", "serial", "/dev/ttyX"])
-def test_find_recording_refuses_a_link(source: str) -> None:
-    with pytest.raises(ConfigError, match=f"{source}: isn't a recording: drive with --view"):
-        find_recording(source)

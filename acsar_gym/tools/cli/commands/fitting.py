@@ -172,6 +172,8 @@ def _list_logs(sources: Sequence[str], logs: Sequence[str]) -> list[Path]:
     paths = [Path(source) for source in (*sources, *logs)]
     if not paths:
         raise ConfigError("identify needs a device, or recordings made with --record")
+
+    # A name with the suffix of a recording is a recording, even if the file doesn't exist.
     are_files = [
         path.suffix in (".mcap", ".db3") or path.is_file() or path.is_dir() for path in paths
     ]

@@ -191,6 +191,7 @@ def evaluate_policy(evaluation: EvaluationOptions) -> int:
         lidar=evaluation.lidar,
         record=recorder,
     )
+    # An evaluation that ended early has a page and figures of its finished episodes.
     title = f"{evaluation.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {run.worlds}"
     if evaluation.html is not None and run.results:
         report.write_evaluation_page(evaluation.html, title, run.summary, run.results)
@@ -229,6 +230,7 @@ def run_policy(
         if is_device(robot.link):
             countdown(f"the robot on {robot.link} will drive", yes=yes)
 
+    # A robot's file may be written of a fit that was refused: see 'identify --anyway'.
     if misfit := RobotConfig.of(robot.robot).misfit:
         say(f"{robot.robot}: {misfit}")
     run = runs.drive_to_goal(
@@ -270,6 +272,7 @@ def report_run(
         raise run.ended
     if run.faults:
         raise LinkError(run.faults[0])
+    # A missed goal has precedence over late ticks: exit code 1, not 4.
     if to_goal and not all(episode.success for episode in run.results):
         return 1
     if run.late and not link.startswith("replay:"):  # a recording stays as it is

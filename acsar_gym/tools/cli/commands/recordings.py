@@ -109,16 +109,12 @@ def view_run(source: Recorded, bag: BagOptions, save: File = None, robot: RobotA
         save: Write an .rrd file instead of opening a viewer.
         robot: For ROS 2 bags: preset or file of the robot.
     """
-    from acsar_gym.recording.bags import is_recording
-
     os.environ.setdefault("RUST_LOG", "off")  # Rerun would report that its viewer was closed
     with require_extra("the viewer", "view"):
         from acsar_gym.tools.view import show
 
     check_writable(save, mark="RRF")
-    path = show.find_recording(str(source))
-    if path.exists() and not is_recording(path):
-        path = bag.open(path, robot)
+    path = bag.open(source, robot)
     if save is not None:
         count = show.save_recording(path, save)
         say(f"{save}: {count} episode{'s' * (count != 1)}, for Rerun's viewer")

@@ -61,6 +61,7 @@ def emulate_board(
     from acsar_gym.worlds.search import footprint_radius, lidar_height
 
     check_writable(log, mark=LOG_MARK)
+    # The robot's LiDAR sees a world of a file at its own height.
     config = RobotConfig.of(robot)
     scene = None
     if world is not None:
@@ -172,6 +173,7 @@ def examine_robot(
     in_ros = (device or "").partition(":")[0] == "ros2"
     if in_ros and (spinning.spin or baud_rate is not None):
         raise ConfigError("--spin, --baud-rate: not of a robot in ROS, only of serial devices")
+    # Nothing is opened before the countdown, so a cancelled command leaves the board as it was.
     board = board_checks.BoardExamination(config, spin=spinning.spin)
     spinning.prepare(board, device)
 
@@ -187,6 +189,7 @@ def examine_robot(
                 rows.extend(serial_device.examine_device(device, config, board.run, recorder))
         except EmergencyStopError as error:
             stop = error
+    # Whether the file was written is a row as well, with what is missing.
     if spinning.out is not None:
         rows.append(board.save(spinning.out))
 
