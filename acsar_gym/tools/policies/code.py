@@ -25,7 +25,7 @@ from acsar_gym.tasks import Observation
 from acsar_gym.tools.policies.policy import Actions, FilePolicy, PolicyContext
 
 MAX_SOURCE_BYTES = 10_000_000
-_FILE = re.compile(r"\.py(:[^:]*)?$")
+_FILE = re.compile(r"(?P<file>.*\.py)(:(?P<name>[^:]*))?")
 _MODULE_NAME = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*(\.[^\W\d]\w*)*")
 
 
@@ -35,7 +35,7 @@ def is_callable(policy: Any) -> bool:
     Args:
         policy: Such as "mine.py", "mine.py:act", "mine.module:Planner", or anything but a text.
     """
-    if not isinstance(policy, str) or _FILE.search(policy):
+    if not isinstance(policy, str) or _FILE.fullmatch(policy):
         return True
     return _MODULE_NAME.fullmatch(policy) is not None and not Path(policy).exists()
 
@@ -68,21 +68,14 @@ class CallablePolicy(FilePolicy):
     """The user runs this code, so its ENV_ID is trusted."""
 
     def __init__(self, policy: Any, env_id: str = "") -> None:
-        self._source = ""
-        module: Any = None
-        code = policy
-        if isinstance(policy, str):
-            module, code = self._import(policy)
-        else:
-            self.instance = policy
-            self._name = getattr(policy, "__name__", type(policy).__name__)
-            self.path = Path(self._name)
-
+        module, code = self._find(policy)
         if not callable(code):
-            functions = [name for name, value in vars(module).items() if callable(value)]
             problem = f"has no function {self._name!r}" if self._name else "name a function of it"
+            functions = [name for name, value in vars(module).items() if callable(value)]
             hint = suggest_name(self._name, functions)
             raise PolicyError(f"{self.path}: {problem}, as in {self.path.name}:act{hint}")
+
+        # What the user names takes precedence over what the code names.
         self.said_id = str(getattr(module, "ENV_ID", "") or getattr(code, "env_id", ""))
         """The id that the code itself names. Empty if it names none."""
         self.env_id = env_id or self.said_id
@@ -100,19 +93,22 @@ class CallablePolicy(FilePolicy):
             if not callable(self._act):
                 raise PolicyError(f"{self.path}: {self._name} has no method __call__")
 
-    def _import(self, policy: str) -> tuple[ModuleType, Any]:
-        """Return module and object of "FILE.py:NAME" or "module:NAME"."""
-        place, _, self._name = policy.rpartition(":")
-        if policy.endswith(".py"):
-            place = policy
-            self._name = ""
-        if place.endswith(".py"):
-            self.path = Path(place)
-            self.function = self._name
-            module = self._run_file(place)
+    def _find(self, policy: Any) -> tuple[ModuleType | None, Any]:
+        """Return module and code of "FILE.py:NAME" or "module:NAME", or an object as it is."""
+        self._source = ""
+        if not isinstance(policy, str):
+            self.instance = policy
+            self._name = getattr(policy, "__name__", type(policy).__name__)
+            self.path = Path(self._name)
+            return None, policy
+        if match := _FILE.fullmatch(policy):
+            self.path = Path(match["file"])
+            self.function = self._name = match["name"] or ""
+            module = self._run_file(match["file"])
             return module, getattr(module, self._name, None)
 
         # A module in the current folder is found as well.
+        place, _, self._name = policy.rpartition(":")
         self.path = Path(policy)
         with reading.find_modules_here():
             code = reading.import_object("policy", policy)
@@ -125,13 +121,14 @@ class CallablePolicy(FilePolicy):
     def _run_file(self, path: str) -> ModuleType:
         """Run a file as a module, with the modules of its folder."""
         self._source = path
-        source = reading.read_file(Path(path), MAX_SOURCE_BYTES, PolicyError)
+        source = reading.read_file(self.path, MAX_SOURCE_BYTES, PolicyError)
         self.sha256 = hashlib.sha256(source).hexdigest()
-        module = ModuleType(f"acsar_gym_policy_{Path(path).stem}")
-        module.__file__ = path
-        folder = str(Path(path).resolve().parent)
+        folder = str(self.path.resolve().parent)
         if folder not in sys.path:
             sys.path.append(folder)
+        # The name is unlikely to be that of a module which the file imports.
+        module = ModuleType(f"acsar_gym_policy_{self.path.stem}")
+        module.__file__ = path
         sys.modules[module.__name__] = module  # dataclasses and pickle look for modules there
 
         def run() -> None:

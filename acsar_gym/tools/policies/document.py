@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
@@ -171,6 +170,7 @@ def describe_policy(
     robots = set(env.fleet) if isinstance(env, RobotVectorEnv) else {env.robot.config}
     sees_lidar = any(sensor.name == LIDAR for sensor in sensors)
 
+    # An id with a module would make a file import that module.
     return PolicyDocument(
         env=strip_module(full_id(env_id)),
         options=task_options(env.task),
@@ -186,6 +186,7 @@ def describe_policy(
 
 def take_sensors(task: Task, sensors: Sequence[Sensor], width: int | None) -> Sequence[Sensor]:
     """Return the sensors whose numbers a policy takes, which may leave out the last ones."""
+    # A sensor is taken as a whole: a layout describes all of its numbers.
     ends = list(itertools.accumulate((s.size for s in sensors), initial=len(task.observation)))
     if width is None:
         return sensors
@@ -211,7 +212,7 @@ def describe_observation(task: Task, sensors: Iterable[Sensor]) -> list[str]:
 
 def observation_scale(task: Task) -> float | None:
     """Return the length that a task divides observed distances by [m]. None if it has none."""
-    scale: float | None = getattr(task, "scale", getattr(task, "max_cross_track", None))
+    scale = getattr(task, "scale", getattr(task, "max_cross_track", None))
     return None if scale is None else float(scale)
 
 
@@ -263,34 +264,31 @@ def robot_ranges(
         randomization: As for an env.
         lidar: Whether the policy observes the LiDAR's ranges.
     """
-    ranges: dict[str, Range] = {}
+    trained: dict[str, list[float]] = {}
     for config in robots:
         numbers = robot_numbers(config)
         # What an episode can draw counts as seen in the training.
-        varied = Randomization.of(randomization, config)
-        for parameter in varied.names:
-            _widen(numbers, parameter, getattr(varied, parameter))
+        for parameter, drawn in Randomization.of(randomization, config):
+            row = TABLE[parameter]
+            field = row.measured[0] if row.measured else RANDOMIZED_FIELDS.get(parameter)
+            if drawn is not None and field in numbers:
+                pairs = itertools.product(numbers[field], drawn)
+                numbers[field] = [_change(row.rule, number, change) for number, change in pairs]
         for name, values in numbers.items():
-            low, high = ranges.get(name, (math.inf, -math.inf))
-            ranges[name] = (min(low, *values), max(high, *values))
-    return {name: ends for name, ends in ranges.items() if lidar or not name.startswith("lidar")}
+            trained.setdefault(name, []).extend(values)
+
+    return {
+        name: (min(values), max(values))
+        for name, values in trained.items()
+        if lidar or not name.startswith("lidar")
+    }
 
 
-def _widen(numbers: dict[str, list[float]], parameter: str, drawn: Iterable[float]) -> None:
-    """Replace the numbers of a robot by those that an episode can have."""
-    row = TABLE[parameter]
-    field = row.measured[0] if row.measured else RANDOMIZED_FIELDS.get(parameter, "")
-    # The largest change of the least number can be less than the number itself: take all products.
-    widened = []
-    for number, change in itertools.product(numbers.get(field, ()), drawn):
-        if row.rule in (Rule.OFFSET, Rule.LATENCY):
-            widened.append(max(number + change, 0.0))
-        elif row.rule in (Rule.VALUE, Rule.RATE):
-            widened.append(change)
-        else:
-            widened.append(number * change)
-    if widened:
-        numbers[field] = widened
+def _change(rule: Rule, number: float, drawn: float) -> float:
+    """Return what a drawn number makes of a number of the robot."""
+    if rule in (Rule.OFFSET, Rule.LATENCY):
+        return max(number + drawn, 0.0)
+    return drawn if rule in (Rule.VALUE, Rule.RATE) else number * drawn
 
 
 # Comparison with an env
@@ -303,22 +301,20 @@ def check_observation(
 
     A policy may leave out the last sensors, but not all of them.
     """
-    # Texts are compared, so that every difference can be named.
+    # Texts are compared, so that every difference can be named, and numbers of different origin
+    # may differ in the last digits.
     kept = sensors[: max(len(document.observation) - len(task.observation), 1)]
     lines = describe_observation(task, kept)
     pairs = itertools.zip_longest(document.observation, lines, fillvalue="nothing")
-    width = len(task.observation) + sum(sensor.size for sensor in kept)
-    facts: list[tuple[str, Any, Any]] = [
-        *((f"observation[{place}]", *pair) for place, pair in enumerate(pairs)),
-        ("width", document.width, width),
-        ("scale", document.scale, observation_scale(task)),
-        ("rate", document.rate, rate or document.rate),
-    ]
+    facts: dict[str, tuple[Any, Any]] = {
+        **{f"observation[{place}]": pair for place, pair in enumerate(pairs)},
+        "width": (document.width, len(task.observation) + sum(sensor.size for sensor in kept)),
+        "scale": (document.scale, observation_scale(task)),
+        "rate": (document.rate, rate or document.rate),
+    }
 
-    for field, trained, current in facts:
-        are_numbers = isinstance(trained, float) and isinstance(current, float)
-        are_close = are_numbers and math.isclose(trained, current, rel_tol=1e-6)
-        if trained != current and not are_close:
+    for field, (trained, current) in facts.items():
+        if _show(trained) != _show(current):
             raise PolicyError(
                 f"{field} is {_quote(trained)} in the file and {_show(current)} in "
                 f"{task_name(task)}: give the env the arguments of the training, or {RETRAIN_HINT}"

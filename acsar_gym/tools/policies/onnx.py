@@ -66,6 +66,7 @@ class OnnxPolicy(FilePolicy):
 
     def _load(self, content: bytes) -> None:
         """Load the network, and decide once on zeros."""
+        # A session can't be pickled, so the content is kept to load it again.
         self._content = content
         try:
             self._session = _load_session(content)
@@ -94,33 +95,34 @@ class OnnxPolicy(FilePolicy):
 
     def _check_network(self) -> None:
         """Find the states, and check that an observation of zeros gets the same action twice."""
-        inputs = self._session.get_inputs()
-        names = [inputs[0].name, self._session.get_outputs()[0].name]
+        observation, *states = self._session.get_inputs()
+        names = [observation.name, self._session.get_outputs()[0].name]
         if names != ["observation", "action"]:
             raise PolicyError(f"must map 'observation' to 'action', not {str(names)[:80]}")
-        self._state_shapes = {put.name: put.shape for put in inputs[1:]}
-        for name, shape in self._state_shapes.items():
-            is_fixed = all(isinstance(size, int) for size in shape)
-            if not is_fixed or math.prod(shape) > MAX_STATE_SIZE:
-                raise PolicyError(f"state {name[:40]} has shape {str(shape)[:60]}: must be fixed")
+        for state in states:
+            is_fixed = all(isinstance(size, int) for size in state.shape)
+            if not is_fixed or math.prod(state.shape) > MAX_STATE_SIZE:
+                shape = str(state.shape)[:60]
+                raise PolicyError(f"state {state.name[:40]} has shape {shape}: must be fixed")
 
         # Loading decides once, so that a driving robot meets no first error.
-        self.reset()
-        zeros = {"observation": np.zeros((1, self.document.width), np.float32), **self._states}
+        self._zeros = {state.name: np.zeros(state.shape, np.float32) for state in states}
+        zeros = {"observation": np.zeros((1, self.document.width), np.float32), **self._zeros}
         try:
-            results, (again, *_) = (self._session.run(None, zeros) for _ in range(2))
+            results = self._session.run(None, zeros)
+            repeated = self._session.run(None, zeros)
         except Exception as error:  # onnxruntime's errors have no common base of their own
             raise PolicyError(
                 f"doesn't decide for {self.document.width} numbers: {format_error(error)}"
             ) from error
-        shapes = [[*result.shape] for result in results]
+        shapes = [result.shape for result in results]
         are_numbers = all(r.dtype == np.float32 and np.isfinite(r).all() for r in results)
-        if shapes != [[1, 2], *self._state_shapes.values()] or not are_numbers:
+        if shapes != [(1, 2), *(state.shape for state in self._zeros.values())] or not are_numbers:
             raise PolicyError(
                 f"gives {str(results[0].tolist())[:100]} for zeros: must be (1, 2) finite float32 "
                 "numbers, then the states that it takes"
             )
-        if not np.array_equal(results[0], again):
+        if not np.array_equal(results[0], repeated[0]):
             raise PolicyError("decides at random: must give the same action for the same input")
 
     def check(
@@ -156,9 +158,7 @@ class OnnxPolicy(FilePolicy):
 
     def reset(self) -> None:
         """Start an episode: the states of a recurrent policy become zeros."""
-        self._states: dict[str, Any] = {
-            name: np.zeros(shape, np.float32) for name, shape in self._state_shapes.items()
-        }
+        self._states: dict[str, Any] = self._zeros
 
     def __call__(self, observation: Observation) -> Actions:
         """Compute the deterministic action in [-1, 1], shape (2,), for one observation.
@@ -180,6 +180,7 @@ class OnnxPolicy(FilePolicy):
 
     def _act_many(self, observations: Actions) -> Actions:
         """Compute actions (n, 2) for observations (n, numbers)."""
+        # A slice of columns isn't contiguous in memory.
         batch = np.ascontiguousarray(observations[:, : self.width])
         actions: Actions = self._session.run(None, {"observation": batch})[0]
         return actions
@@ -197,6 +198,7 @@ def _load_session(content: bytes) -> Any:
     Raises:
         PolicyError: It isn't an ONNX file. The message doesn't name the file.
     """
+    # What users mix up, or what would be read from elsewhere, is refused before the parser sees it.
     if content.startswith(b"PK"):
         raise PolicyError(
             "isn't an ONNX file but a zip of stable-baselines3, which can run code when it's "

@@ -285,6 +285,7 @@ class PolicyContext:
         Raises:
             PolicyError: The task doesn't observe it.
         """
+        # Without names it is the LiDAR that is needed.
         has_numbers = all(name in self.places for name in names)
         if not (has_numbers and (names or self.rays is not None)):
             raise PolicyError(

@@ -87,6 +87,7 @@ def save(
     """
     from acsar_gym.tools.policies import export  # noqa: PLC0415 - optional
 
+    # A wrong normalizer is refused before an env is made.
     scaling = export.make_normalizer(normalizer)
     varied = env_kwargs.get("randomization")
     with planar_env(env_id, robot=robot, **env_kwargs) as env:

@@ -74,6 +74,7 @@ def export_policy(
     Raises:
         PolicyError: The policy doesn't fit the document, or can't be exported.
     """
+    # An LSTM has two states, which become inputs and outputs of the network.
     actor = Actor(policy, _decide)
     states: tuple[Shape, ...] = ()
     lstm: Any = getattr(policy, "lstm_actor", None)
@@ -240,5 +241,6 @@ def read_normalizer(path: Path, width: int) -> Normalizer | None:
     statistics: Any = saved.obs_rms
     if not isinstance(statistics, RunningMeanStd) or statistics.mean.shape != (width,):
         raise PolicyError(f"{path}: isn't for observations of {width} numbers")
+    # As VecNormalize itself does it.
     deviation = np.sqrt(statistics.var + saved.epsilon)
     return Normalizer(statistics.mean, deviation, saved.clip_obs)

@@ -21,6 +21,7 @@ from acsar_gym.tools.training.plan import Score, TrainingPlan
 from acsar_gym.vector.env import RobotVectorEnv
 from acsar_gym.worlds.crowd import PERSON_HIT
 
+CURVE_FILE = "learning_curve.csv"
 DRAWN_COLUMNS = ("success_rate", "mean_return", "collision_rate")
 
 
@@ -32,28 +33,22 @@ class TrainingWatch(BaseCallback):
     """Scores the policy, writes checkpoints and shows progress, between two rollouts.
 
     Scores are of the deterministic policy on a batch of robots that isn't used for training, after
-    the first rollout, then at the plan's intervals, and when `finish` is called. They are logged
-    under eval/ and written to learning_curve.csv. A score that reaches the target raises
+    the first rollout, then at the plan's intervals, and when `finish` is called. They are printed,
+    logged under eval/ and written to learning_curve.csv. A score that reaches the target raises
     TargetReached.
 
     Attributes:
-        batch: The robots.
         curve: The scores. A training that goes on reads those before its start.
     """
 
-    def __init__(
-        self, plan: TrainingPlan, batch: RobotVectorEnv, out: Path, bar: Progress | None = None
-    ) -> None:
+    def __init__(self, plan: TrainingPlan, batch: RobotVectorEnv, out: Path, bar: Progress) -> None:
         super().__init__()
-        self.batch = batch
         self.curve: list[Score] = []
         self._plan = plan
+        self._batch = batch
         self._out = out
-        self._file = out / "learning_curve.csv"
         self._bar = bar
-        # A seed among several has no bar of its own.
-        if bar is not None:
-            bar.add_task("", total=plan.recipe.steps)
+        self._task = bar.add_task("training", total=plan.recipe.steps)
         self._started = time.monotonic()
         self._saved = self._started
 
@@ -70,17 +65,13 @@ class TrainingWatch(BaseCallback):
             return False
         return self.score.success_rate >= target
 
-    @property
-    def seconds(self) -> float:
-        """Time since the start of the training [s]."""
-        return time.monotonic() - self._started
-
     def _on_step(self) -> bool:
         return True
 
     def _on_training_start(self) -> None:
-        if self._file.exists():
-            rows = np.loadtxt(self._file, delimiter=",", skiprows=1, ndmin=2).tolist()
+        file = self._out / CURVE_FILE
+        if file.exists():
+            rows = np.loadtxt(file, delimiter=",", skiprows=1, ndmin=2).tolist()
             scores = [Score(int(steps), *figures) for steps, *figures in rows]
             self.curve = [score for score in scores if score.steps <= self.num_timesteps]
         # Its clock goes on from there.
@@ -104,28 +95,21 @@ class TrainingWatch(BaseCallback):
         if self.num_timesteps < self._plan.episode_steps * self.training_env.num_envs:
             buffers.ep_info_buffer.clear()
 
+        self._bar.update(self._task, completed=self.num_timesteps)
         interval = self._plan.evaluation_interval
         last_steps = self.score.steps if self.score else -interval
-        is_due = self.num_timesteps // interval > last_steps // interval
-        if is_due:
-            self._evaluate()
+        if self.num_timesteps // interval > last_steps // interval:
+            score = self._evaluate()
+            if self._plan.options.progress:
+                self._print(score)
             if self.is_reached:
                 raise TargetReached
-        if self._bar is not None:
-            self._show_progress(self._bar, is_scored=is_due)
 
-    def _show_progress(self, bar: Progress, *, is_scored: bool) -> None:
-        """Update the bar, or print a line for a new score if there is no terminal."""
-        (task,) = bar.tasks
-        bar.update(task.id, completed=self.num_timesteps)
-        line = f"{task.completed:,.0f} of {task.total:,.0f} steps"
-        if task.speed:  # it leaves out the first rollout, which compiles
-            line += f", {task.speed:,.0f} a second"
-        if self.score:
-            line += f", held-out success {self.score.success_rate:.1%}"
-        bar.update(task.id, description=line)
-        if bar.disable and is_scored:
-            print(line, flush=True)
+    def _print(self, score: Score) -> None:
+        line = f"{score.steps:,} of {self._plan.recipe.steps:,} steps"
+        if speed := self._bar.tasks[0].speed:  # it leaves out the first rollout, which compiles
+            line += f", {speed:,.0f} a second"
+        print(f"{line}, held-out success {score.success_rate:.1%}", flush=True)
 
     def finish(self) -> None:
         """Score the policy after its last update."""
@@ -133,55 +117,52 @@ class TrainingWatch(BaseCallback):
             self._evaluate()
             self.logger.dump(self.num_timesteps)
 
-    def _evaluate(self) -> None:
+    def _evaluate(self) -> Score:
         """Evaluate the policy, log the score and write the curve."""
-        figures = evaluate_held_out(self.model, self.batch)
+        figures = evaluate_held_out(self.model, self._batch)
+        # SB3 writes them with the figures of the next rollout.
         for name, value in figures.items():
             self.logger.record(f"eval/{name}", value)
 
         # The last update has outdated a score of as many steps.
-        score = Score(self.num_timesteps, round(self.seconds, 2), **figures)
+        seconds = round(time.monotonic() - self._started, 2)
+        score = Score(self.num_timesteps, seconds, **figures)
         self.curve = [*(old for old in self.curve if old.steps < score.steps), score]
-        folders.write_table(self._file, Score._fields, self.curve)
+        folders.write_table(self._out / CURVE_FILE, Score._fields, self.curve)
+        return score
 
 
 def evaluate_held_out(model: BaseAlgorithm, batch: RobotVectorEnv) -> dict[str, float]:
     """Run the first episode of every robot to its end, always from the same seeds.
 
-    The batch needs a time limit. One episode per robot avoids a bias: the first n finished
-    episodes of a batch would contain too many quick ones.
+    The batch needs a time limit and AutoresetMode.SAME_STEP. One episode per robot avoids a bias:
+    the first n finished episodes of a batch would contain too many quick ones.
 
     Returns:
         The figures of a `Score`.
     """
     space: Any = model.observation_space
     observations, _ = batch.reset(seed=FIRST_HELD_OUT_SEED)
-    running = np.ones(batch.num_envs, np.bool_)
-    returns = np.zeros(batch.num_envs)
-    lengths = np.zeros(batch.num_envs, np.int64)
-    ends = []
+    ends: dict[int, dict[str, Any]] = {}
     state: Any = None
 
-    # Robots whose episode has ended drive on, but don't count.
-    while running.any():
+    # Robots whose episode has ended drive on, but only their first end counts.
+    while len(ends) < batch.num_envs:
         kept = np.ascontiguousarray(observations[:, : space.shape[0]])
         starts = np.full(batch.num_envs, state is None)
         actions, state = model.predict(kept, state, starts, deterministic=True)
-        observations, rewards, terminated, truncated, info = batch.step(actions)
-        returns += rewards * running
-        lengths += running
-        ended = running & (terminated | truncated)
-        for robot in np.flatnonzero(ended):
-            last = {key: row[robot] for key, row in info.items() if not key.startswith("_")}
-            ends.append(describe_end(last))
-        running &= ~ended
+        observations, _, terminated, truncated, info = batch.step(actions)
+        for robot in np.flatnonzero(terminated | truncated):
+            last = {key: row[robot] for key, row in info["final_info"].items()}
+            ends.setdefault(int(robot), {**last, **describe_end(last)})
 
+    figures = ends.values()
     return {
-        "success_rate": fmean(end["success"] for end in ends),
-        "collision_rate": fmean(end["collision"] for end in ends),
-        "struck_rate": fmean(end["person_contact"] == PERSON_HIT for end in ends),
-        "mean_return": fmean(returns),
-        "mean_length": fmean(lengths),
+        "success_rate": fmean(end["success"] for end in figures),
+        "collision_rate": fmean(end["collision"] for end in figures),
+        "struck_rate": fmean(end["person_contact"] == PERSON_HIT for end in figures),
+        "mean_return": fmean(end["episode_return"] for end in figures),
+        "mean_length": fmean(end["episode_length"] for end in figures),
     }
 
 
@@ -190,12 +171,10 @@ def draw_curve(out: Path, curve: list[Score], title: str) -> None:
     # Without pyplot, which would keep the figure and may open a window.
     figure = Figure(figsize=(9.0, 8.0), layout="constrained")
     figure.suptitle(title)
-    plots = figure.subplots(len(DRAWN_COLUMNS), sharex=True)
     steps = [score.steps for score in curve]
-    for plot, column in zip(plots, DRAWN_COLUMNS, strict=True):
+    for plot, column in zip(figure.subplots(len(DRAWN_COLUMNS)), DRAWN_COLUMNS, strict=True):
         plot.plot(steps, [getattr(score, column) for score in curve], marker=".")
-        plot.set(ylabel=column.replace("_", " "))
+        plot.set(xlabel="env steps", ylabel=column.replace("_", " "))
         plot.grid(visible=True)
-    plots[-1].set(xlabel="env steps")
     with reading.replace_file(out / "learning_curve.png") as new:
         figure.savefig(new, format="png", dpi=100)

@@ -6,14 +6,12 @@ to the same folder.
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import json
-import platform
 import shlex
 import subprocess
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +21,6 @@ from acsar_gym.resources import PACKAGE
 from acsar_gym.tools.evaluation import provenance
 from acsar_gym.tools.training.options import TrainingOptions
 from acsar_gym.tools.training.recipes import name_errors
-from acsar_gym.vector.threads import usable_cores
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -41,9 +38,7 @@ KEPT_CHECKPOINTS = 2
 MAX_CONFIG_BYTES = 1_000_000
 RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 """Their versions are recorded, in addition to those of every result."""
-GIT_TIMEOUT = 5.0
-"""Time limit of git [s]."""
-CHANGEABLE_OPTIONS = ("steps", "target", "threads", "progress", "device")
+CHANGEABLE_OPTIONS = {"steps", "target", "threads", "progress", "device", "resume", "trust"}
 """Options that may change when a training goes on."""
 
 
@@ -61,6 +56,7 @@ def make_folder(out: Path | None, env: str) -> Path:
             return out
 
         folder.parent.mkdir(parents=True, exist_ok=True)
+        # Of several trainings that start at the same time, only one can make a folder.
         while True:
             try:
                 folder.mkdir()
@@ -84,29 +80,30 @@ def check_empty(out: Path) -> None:
 # config.yml
 
 
-def begin_config(folder: Path, key: str, recipe: Mapping[str, Any], options: Any) -> None:
+def begin_config(folder: Path, key: str, recipe: dict[str, Any], options: TrainingOptions) -> None:
     """Write config.yml of a new training. ConfigError if another training has the folder."""
-    facts = {
-        "options": options.model_dump(mode="json"),
-        **describe_origin(options),
-        "cores": usable_cores(),
-        "machine": f"{platform.system()} {platform.machine()}",
-    }
+    facts = {"options": options.model_dump(mode="json"), **describe_origin(options)}
     # Only one of two trainings that started at the same time can create the file.
-    text = reading.format_yaml({key: dict(recipe), RUN_KEY: facts})
     try:
         with (folder / CONFIG_FILE).open("x", encoding="utf-8") as file:
-            file.write(text)
+            file.write(reading.format_yaml({key: recipe, RUN_KEY: facts}))
     except FileExistsError as error:
         raise ConfigError(f"--out {folder}: another training has it: name another") from error
 
 
 def describe_origin(options: TrainingOptions) -> dict[str, Any]:
     """Return command, versions and revision of a training."""
+    # The folder is named, as an installation may be inside another project's repository.
+    git = ["git", f"--git-dir={PACKAGE.parent / '.git'}", f"--work-tree={PACKAGE.parent}"]
+    describe = [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        output = subprocess.run(describe, capture_output=True, text=True, check=False).stdout
+    except OSError:  # there is no git
+        output = ""
     return {
         "command": training_command(options),
         "versions": provenance.library_versions(*RECORDED_LIBRARIES),
-        "revision": git_revision(),
+        "revision": output.strip() or None,
     }
 
 
@@ -126,18 +123,6 @@ def training_command(options: TrainingOptions) -> str:
         else:
             words += [flag, *texts]
     return shlex.join(words)
-
-
-def git_revision() -> str | None:
-    """Return the git revision of the package, with "-dirty" if files differ. None without git."""
-    # The folder is named, as an installation may be inside another project's repository.
-    command = ["git", f"--git-dir={PACKAGE.parent / '.git'}", f"--work-tree={PACKAGE.parent}"]
-    command += ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    with contextlib.suppress(OSError, subprocess.SubprocessError):
-        return subprocess.check_output(
-            command, stderr=subprocess.DEVNULL, text=True, timeout=GIT_TIMEOUT
-        ).strip()
-    return None
 
 
 # Models and tables
@@ -161,13 +146,6 @@ def write_model(model: BaseAlgorithm, path: Path) -> None:
         writer.save(new)
 
 
-def load_buffer(model: Any, path: Path) -> None:
-    """Load the replay buffer beside a model, if there is one. Can run code in it."""
-    buffer = path.with_name(BUFFER_FILE)
-    if buffer.exists():
-        model.load_replay_buffer(buffer)
-
-
 def write_checkpoint(model: BaseAlgorithm, folder: Path) -> None:
     """Write a checkpoint, named as by stable-baselines3, then remove older ones."""
     checkpoints = folder / CHECKPOINTS_FOLDER
@@ -178,7 +156,7 @@ def write_checkpoint(model: BaseAlgorithm, folder: Path) -> None:
 
 def find_models(folder: Path) -> list[Path]:
     """List the complete models in a folder and its checkpoints, the newest first."""
-    # A file that was cut has no steps.
+    # A file that was cut by a full disk or a kill has no steps.
     steps = {path: count_steps(path) for path in folder.rglob("*.zip")}
     complete = [path for path in steps if steps[path] >= 0]
     return sorted(complete, key=steps.__getitem__, reverse=True)
@@ -218,16 +196,16 @@ def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOpti
             raise ConfigError("has no complete model yet: start a new training")
 
     # Whatever would make it another training is refused.
-    changes = options.model_dump(exclude_defaults=True, exclude={"resume", "trust"})
-    for name, value in changes.items():
-        first_value = getattr(first_options, name)
-        if name not in CHANGEABLE_OPTIONS and value != first_value:
+    changes = options.model_dump(exclude_defaults=True)
+    for name in changes.keys() - CHANGEABLE_OPTIONS:
+        if changes[name] != getattr(first_options, name):
             flag = f"--{name.replace('_', '-')}"
             raise ConfigError(
-                f"{flag} {value}: {folder} is of a training with {first_value}: leave {flag} out, "
-                "or start a new training"
+                f"{flag} {changes[name]}: {folder} is of a training with "
+                f"{getattr(first_options, name)}: leave {flag} out, or start a new training"
             )
 
-    fixed = dict.fromkeys(("gamma", "learning_rate", "net"))  # config.yml contains them
-    fixed |= {"out": folder, "conf_file": config, "trust": options.trust}
+    # config.yml contains the hyperparameters that were options.
+    fixed = {"out": folder, "conf_file": config, "trust": options.trust}
+    fixed |= dict.fromkeys(("gamma", "learning_rate", "net"))
     return first_options.model_copy(update=changes | fixed), models[0]

@@ -38,15 +38,9 @@ class MirrorPolicy(ActorCriticPolicy):
         reversed_at: Sequence[Sequence[int]] = (),
         **kwargs: Any,
     ) -> None:
-        self._mirror: dict[str, Any] = {"odd": [*odd], "reversed_at": [*reversed_at]}
-        features = {
-            "features_extractor_class": _BothImages,
-            "features_extractor_kwargs": self._mirror,
-        }
-        super().__init__(*args, **import_classes(kwargs) | features)
-
-    def _get_constructor_parameters(self) -> dict[str, Any]:
-        return super()._get_constructor_parameters() | self._mirror
+        kwargs["features_extractor_class"] = _BothImages
+        kwargs["features_extractor_kwargs"] = {"odd": [*odd], "reversed_at": reversed_at}
+        super().__init__(*args, **import_classes(kwargs))
 
     def _build_mlp_extractor(self) -> None:
         """Make the hidden layers of stable-baselines3, then replace each by a `_MirrorLayer`."""
@@ -68,27 +62,23 @@ class MirrorPolicy(ActorCriticPolicy):
 class _BothImages(FlattenExtractor):
     """Maps observations (batch, n) to themselves and their mirror images, (batch, 2, n)."""
 
-    def __init__(self, space: Any, odd: list[int], reversed_at: list[Sequence[int]]) -> None:
+    def __init__(self, space: Any, odd: list[int], reversed_at: Sequence[Sequence[int]]) -> None:
         super().__init__(space)
-        width = self.features_dim
-        groups = [range(first, first + count) for first, count in reversed_at]
-        mirrored = [*odd, *(place for group in groups for place in group)]
-        if len(set(mirrored)) < len(mirrored) or not set(mirrored) <= set(range(width)):
+        # Where each number of the mirror image comes from, and its sign.
+        places = list(range(self.features_dim))
+        order = places.copy()
+        for first, count in reversed_at:
+            order[first : first + count] = reversed(range(first, first + count))
+        if sorted(order) != places or not {*odd} <= {*places}:
             raise ConfigError(
                 f"MirrorPolicy: odd = {odd}, reversed_at = {reversed_at}: must be different ones "
-                f"of {width} numbers"
+                f"of {len(places)} numbers"
             )
-
-        # Where each number of the mirror image comes from.
-        order = list(range(width))
-        for group in groups:
-            order[group.start : group.stop] = reversed(group)
         self.order = torch.nn.Buffer(torch.tensor(order))
-        self.signs = torch.nn.Buffer(torch.ones(width))
+        self.signs = torch.nn.Buffer(torch.ones(len(places)))
         self.signs[odd] = -1.0
 
         # A pair has a mean and a difference, which need only one place each.
-        places = range(width)
         self.even = [place for place in places if place <= order[place] and place not in odd]
         self.odd = [place for place in places if place < order[place] or place in odd]
 

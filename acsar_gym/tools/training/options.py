@@ -69,7 +69,7 @@ class TrainingOptions(Section):
     device: Literal["cpu", "cuda"] = "cpu"
     """Where the networks are trained. The robots are simulated on the CPU."""
     threads: int | None = None
-    """Cores to use. Default: as many as are free when the training starts."""
+    """Cores to use. Default: all that this process may use."""
     worlds: Annotated[
         tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="KIND|PATH")
     ] = ()
@@ -87,7 +87,7 @@ class TrainingOptions(Section):
     net: tuple[Annotated[int, Field(ge=1, le=4096)], ...] | None = None
     """Widths of the hidden layers, such as 64 64. Default: the recipe's."""
     progress: bool = True
-    """Show a progress bar."""
+    """Show a progress bar on terminals, and print the scores."""
     checkpoint_seconds: Annotated[float, Field(ge=0, le=86_400)] = 60.0
     """Time between two checkpoints [s]."""
     resume: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER|model.zip")] = None

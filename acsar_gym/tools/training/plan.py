@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 
 import gymnasium
 
-from acsar_gym.config import RobotConfig, drawn
-from acsar_gym.config.fleet import make_fleet
+from acsar_gym.config import drawn
 from acsar_gym.envs import ids
-from acsar_gym.errors import ConfigError, require_extra
+from acsar_gym.errors import ConfigError
 from acsar_gym.physics import randomization
 from acsar_gym.tools.training.options import TrainingOptions
 from acsar_gym.tools.training.recipes import Recipe, read_recipe
@@ -25,7 +24,7 @@ from acsar_gym.worlds.sets import name_sources
 HELD_OUT_ROBOTS = 64
 """Robots in an evaluation during training. Each runs one episode."""
 TARGET_ROBOTS = 512
-"""Robots in an evaluation that decides whether a target is reached."""
+"""Robots in an evaluation that decides about a target: few leave the rate uncertain."""
 MAX_EVALUATIONS = 16
 MIN_STEPS_BETWEEN = 100_000
 """Least env steps between two held-out evaluations, which take up to 5 % of the time."""
@@ -33,8 +32,6 @@ TARGET_EVALUATIONS = 3
 """How many times more often is evaluated to end at a target."""
 FEW_UPDATES = 30
 """Fewer updates of the policy are hardly enough to learn anything."""
-PROBE_TIME = 0.25
-"""Duration of the measurement of free cores [s]."""
 
 
 class Score(NamedTuple):
@@ -65,8 +62,6 @@ class TrainingPlan:
     episode_steps: int
     """Time limit of an episode [steps]."""
     threads: int
-    robots: tuple[RobotConfig, ...]
-    """The robot, or those of a fleet."""
 
     @classmethod
     def of(cls, options: TrainingOptions) -> TrainingPlan:
@@ -76,6 +71,7 @@ class TrainingPlan:
         limit = gymnasium.spec(bare_id).max_episode_steps
         if limit is None:
             raise ConfigError(f"env {options.env}: has no max_episode_steps, training needs one")
+        # It takes worlds, but sees no obstacles.
         if options.worlds and bare_id == "acsar_gym/PointGoal-v0":
             raise ConfigError("--worlds: point_goal has none")
 
@@ -87,12 +83,14 @@ class TrainingPlan:
             gamma=options.gamma,
             learning_rate=options.learning_rate,
         )
-        if options.threads is None:
-            threads = measure_free_cores()
-        else:
-            threads = check_threads("--threads", options.threads)
-        robots = make_fleet(options.robot).robots
-        return cls(options, env_id, recipe, episode_steps=limit, threads=threads, robots=robots)
+        wanted = options.threads
+        return cls(
+            options,
+            env_id,
+            recipe,
+            episode_steps=limit,
+            threads=usable_cores() if wanted is None else check_threads("--threads", wanted),
+        )
 
     @property
     def randomization(self) -> Any:
@@ -101,7 +99,7 @@ class TrainingPlan:
 
     @property
     def held_out_robots(self) -> int:
-        """Robots in an evaluation: few leave the rate too uncertain to end a training."""
+        """Robots in an evaluation."""
         return HELD_OUT_ROBOTS if self.options.target is None else TARGET_ROBOTS
 
     @property
@@ -126,27 +124,27 @@ class TrainingPlan:
 
     def make_training_batch(self) -> RobotVectorEnv:
         """Make the batch of robots to train on."""
-        changes = {"autoreset_mode": "SameStep", "randomization": self.randomization}
-        return self._make_batch(self.recipe.robots, self.options.robot, **changes)
+        robot = self.options.robot
+        return self._make_batch(self.recipe.robots, robot, randomization=self.randomization)
 
     def make_held_out_batch(self, training: RobotVectorEnv) -> RobotVectorEnv:
         """Make the batch to evaluate on: no randomization, other worlds, and other drawn robots."""
-        robots = self.held_out_robots
         robot = self.options.robot
         if drawn.PREFIX in (robot or ""):
             robot = "drawn:validation"
-        worlds = choose_held_out_worlds(training.pool, robots)
-        return self._make_batch(robots, robot, **({"worlds": worlds} if worlds else {}))
+        worlds = choose_held_out_worlds(training.pool, self.held_out_robots)
+        changes = {"worlds": worlds} if worlds else {}
+        return self._make_batch(self.held_out_robots, robot, **changes)
 
     def _make_batch(self, count: int, robot: str | None, **changes: Any) -> RobotVectorEnv:
         """Make a batch with the arguments of the recipe, the user's worlds, and `changes`."""
-        arguments = {**self.recipe.env_kwargs, "randomization": None}
+        arguments = {**self.recipe.env_kwargs, "randomization": None, "robot": robot}
+        arguments["autoreset_mode"] = "SameStep"
         if self.options.worlds:
             arguments["worlds"] = name_sources(self.options.worlds)
         # A thread with few robots waits longer than it works.
-        threads = max(1, min(self.threads, count // ROBOTS_PER_THREAD))
-        arguments |= {"robot": robot, "threads": threads, **changes}
-        return ids.make_vec(self.env_id, count, **arguments)
+        arguments["threads"] = max(1, min(self.threads, count // ROBOTS_PER_THREAD))
+        return ids.make_vec(self.env_id, count, **arguments | changes)
 
     def describe(self, training: RobotVectorEnv, held_out: RobotVectorEnv) -> Iterator[str]:
         """Yield lines about the training, before it starts."""
@@ -155,11 +153,11 @@ class TrainingPlan:
         if training.pool is not None:
             worlds = f"training in {training.pool}, evaluated in {held_out.pool}"
         cores = "1 thread" if self.threads == 1 else f"{self.threads} threads"
-        ranges = self.options.randomize and randomization.describe_ranges(self.robots[0])
+        ranges = self.options.randomize and randomization.describe_ranges(training.config)
         yield f"{worlds}; {cores}, seed {self.options.seed}" + (f"; {ranges}" if ranges else "")
         if self.options.resume is None and self.update_hint:
             yield self.update_hint
-        if misfit := self.robots[0].misfit:
+        if misfit := training.config.misfit:
             yield f"{self.options.robot}: {misfit}"
 
 
@@ -182,11 +180,3 @@ def choose_held_out_worlds(pool: Pool | None, robots: int = HELD_OUT_ROBOTS) -> 
         first = group.numbers[-1] + 1 if overlaps else split[0]
         names.append(f"{group.generator}:{first}-{first + count - 1}")
     return names
-
-
-def measure_free_cores() -> int:
-    """Measure how many cores other programs leave free, at least 1. Takes PROBE_TIME seconds."""
-    with require_extra("training", "train"):
-        import psutil  # noqa: PLC0415 - optional
-    idle = psutil.cpu_times_percent(interval=PROBE_TIME).idle / 100.0
-    return max(1, min(usable_cores(), round(idle * (psutil.cpu_count() or 1))))

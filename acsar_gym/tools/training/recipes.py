@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acsar_gym import reading
-from acsar_gym.errors import ConfigError, format_error, require_extra, show_value, suggest_name
+from acsar_gym.errors import ConfigError, format_error, require_extra, show_value
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training.options import ALGORITHMS, parse_count
 from acsar_gym.worlds.registry import BUILT_IN_KINDS
@@ -38,8 +38,6 @@ OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot",
 """Arguments of an env that `train` sets by its own options."""
 OWN_KEYS = ("n_timesteps", "n_envs", "policy", "env_kwargs", "vec_env_wrapper")
 """Keys that aren't arguments of the algorithm."""
-TRAIN_ARGUMENTS = ("self", "policy", "env", "seed", "device", "verbose", "tensorboard_log")
-"""Arguments of an algorithm that `train` sets."""
 
 
 def load_algorithm(name: str) -> type[BaseAlgorithm]:
@@ -77,14 +75,10 @@ class Recipe:
         kwargs = self.values.get("env_kwargs") or {}
         return {name: value for name, value in kwargs.items() if name != "link"}
 
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """Arguments of the algorithm, as in the file."""
-        return {name: value for name, value in self.values.items() if name not in OWN_KEYS}
-
     def with_changes(self, **changes: Any) -> Recipe:
         """Return a recipe with some hyperparameters changed. None changes nothing."""
         changes = {name: value for name, value in changes.items() if value is not None}
+        # The width of the layers is one of several arguments of the policy.
         if "net" in changes:
             net = {"net_arch": list(changes.pop("net"))}
             changes["policy_kwargs"] = (self.values.get("policy_kwargs") or {}) | net
@@ -94,18 +88,16 @@ class Recipe:
         """Return the arguments of the algorithm, with schedules and classes for their names."""
         arguments = {
             name: parse_schedule(value) if str(value).startswith("lin_") else value
-            for name, value in self.arguments.items()
+            for name, value in self.values.items()
+            if name not in OWN_KEYS
         }
-
         # Only these may name classes.
         policy = {"policy": self.values.get("policy", "MlpPolicy")}
-        policy_kwargs = self.values.get("policy_kwargs") or {}
         arguments |= import_classes(policy, self.package)
+        policy_kwargs = arguments.get("policy_kwargs") or {}
         arguments["policy_kwargs"] = import_classes(policy_kwargs, self.package)
 
-        # What YAML and the number of robots don't allow otherwise.
-        if isinstance(arguments.get("train_freq"), list):
-            arguments["train_freq"] = tuple(arguments["train_freq"])
+        # A minibatch can't be larger than a rollout, which is smaller with fewer robots.
         rollout = arguments.get("n_steps", 0) * self.robots
         if rollout and "batch_size" in arguments:
             arguments["batch_size"] = min(arguments["batch_size"], rollout)
@@ -113,6 +105,7 @@ class Recipe:
 
     def import_wrappers(self) -> list[Any]:
         """Return the functions that wrap the batch."""
+        # RL Zoo takes a name or a list of them.
         names = self.values.get("vec_env_wrapper") or []
         names = names if isinstance(names, list) else [names]
         return [
@@ -127,20 +120,14 @@ class Recipe:
         Raises:
             ConfigError: The algorithm has no such argument, or a value can't be used.
         """
-        # Its TypeError would name neither the file nor the nearest argument.
-        signature = inspect.signature(load_algorithm(algo).__init__).parameters
-        names = [*OWN_KEYS, *(name for name in signature if name not in TRAIN_ARGUMENTS)]
-        for name in self.values:
-            if name not in names:
-                near = suggest_name(name, names)
-                raise ConfigError(f"{show_value(name)}: no argument of {algo}{near}")
         for name, value in self.env_kwargs.items():
             if name in OPTION_ARGUMENTS:
                 raise ConfigError(f"env_kwargs: {name}: leave it out: train's options set it")
             _check_modules(f"env_kwargs: {name}", value, self.package)
-        # Both import classes, and raise for those that can't be.
+        # These import classes, and find out what the algorithm doesn't take, before any is made.
         self.import_wrappers()
-        self.build_arguments()
+        arguments = self.build_arguments()
+        inspect.signature(load_algorithm(algo)).bind(env=None, **arguments)
 
 
 def read_recipe(algo: str, env_id: str, file: Path | None = None, package: str = "") -> Recipe:
@@ -166,21 +153,16 @@ def read_recipe(algo: str, env_id: str, file: Path | None = None, package: str =
     with name_errors(path, key):
         if not isinstance(entries[key], dict):
             raise ConfigError("must be hyperparameters by name")
-        values = dict(entries[key])
-        values.setdefault("n_envs", 1)
+        values = {"n_envs": 1, **entries[key]}
+        # YAML reads 1e6 as a float.
         for name in ("n_timesteps", "n_envs"):
-            values[name] = _read_count(name, values.get(name))
+            with name_errors(name):
+                values[name] = parse_count(str(values.get(name)))
+                if values[name] < 1:
+                    raise ValueError("must be at least 1")
         recipe = Recipe(f"{path}: {key}", values, package)
         recipe.check(algo)
     return recipe
-
-
-def _read_count(name: str, value: Any) -> int:
-    """Read a whole number. YAML reads 1e6 as a float."""
-    with contextlib.suppress(ValueError, OverflowError):
-        if (count := parse_count(str(value))) >= 1:
-            return count
-    raise ConfigError(f"{name} = {show_value(value)}: must be a whole number of at least 1")
 
 
 def import_class(key: str, name: str, package: str = "") -> Any:
@@ -242,5 +224,5 @@ def name_errors(*names: object) -> Iterator[None]:
     """Put file and keys in front of the errors that are raised in this context."""
     try:
         yield
-    except (ConfigError, ValueError) as error:
+    except (ConfigError, TypeError, ValueError) as error:
         raise ConfigError(": ".join([*map(str, names), str(error)])) from error

@@ -6,13 +6,13 @@ import contextlib
 import os
 import shlex
 import signal
+import sys
 import threading
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress
 
 from acsar_gym import reading
 from acsar_gym.envs import ids
@@ -24,7 +24,7 @@ from acsar_gym.errors import (
     explain_error,
     format_error,
 )
-from acsar_gym.tools.policies.document import PolicyDocument, describe_policy
+from acsar_gym.tools.policies.document import describe_policy
 from acsar_gym.tools.policies.zip_policy import check_trust
 from acsar_gym.tools.training import folders
 from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED, TrainingOptions
@@ -35,8 +35,6 @@ from acsar_gym.vector.env import RobotVectorEnv
 if TYPE_CHECKING:  # torch takes seconds to import, and isn't needed for --help
     from stable_baselines3.common.base_class import BaseAlgorithm
     from stable_baselines3.common.vec_env import VecEnv
-
-    from acsar_gym.tools.training.callbacks import TrainingWatch
 
 MAX_TORCH_THREADS = 2
 """Default limit of torch's threads. More don't help with networks this small."""
@@ -71,10 +69,11 @@ def train(options: TrainingOptions) -> TrainingResult:
         folders.check_empty(options.out)
     plan = TrainingPlan.of(options)
 
-    with contextlib.ExitStack() as stack:
-        # Batches: one to learn in, and one with worlds that the training never sees.
-        env = stack.enter_context(contextlib.closing(plan.make_training_batch()))
-        held_out_env = stack.enter_context(contextlib.closing(plan.make_held_out_batch(env)))
+    # Batches: one to learn in, and one with worlds that the training never sees.
+    with (
+        contextlib.closing(plan.make_training_batch()) as env,
+        contextlib.closing(plan.make_held_out_batch(env)) as held_out_env,
+    ):
         for line in plan.describe(env, held_out_env):
             say(line)
 
@@ -114,14 +113,27 @@ def _learn_and_save(
     from acsar_gym.tools.policies import sb3_export  # noqa: PLC0415 - imports torch
     from acsar_gym.tools.training import callbacks  # noqa: PLC0415
 
-    # Without a terminal the bar is only a clock, and lines are printed instead.
-    options = plan.options
-    bar = Progress(BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    bar.disable = not (options.progress and bar.console.is_terminal)
-    watch = callbacks.TrainingWatch(plan, held_out_env, out, bar if options.progress else None)
-
     # Checkpoints contain the label as well: a policy can be made of each.
-    sb3_export.label(model, describe_model(plan, model, env))
+    options = plan.options
+    space: Any = model.observation_space
+    training = {
+        "algorithm": type(model).__name__,
+        "recipe": plan.recipe.values,
+        "seed": options.seed,
+        **folders.describe_origin(options),
+    }
+    document = describe_policy(
+        env,
+        plan.env_id,
+        width=space.shape[0],
+        randomization=plan.randomization,
+        training=training,
+    )
+    sb3_export.label(model, document)
+
+    # On a terminal a bar, elsewhere only the lines of the scores.
+    bar = Progress(disable=not (options.progress and sys.stdout.isatty()))
+    watch = callbacks.TrainingWatch(plan, held_out_env, out, bar)
     interrupt = None
     try:
         with bar, contextlib.suppress(callbacks.TargetReached):
@@ -132,20 +144,25 @@ def _learn_and_save(
         print(f"interrupted at {model.num_timesteps:,} steps: saving what there is", flush=True)
         interrupt = error
 
-    # The model first: the policy can be made of it again.
-    document = describe_model(plan, model, env, watch)
+    # An interrupt can come before the first score.
+    training = {**document.training, "steps": model.num_timesteps}
+    if watch.score is not None:
+        training["held_out"] = {"episodes": plan.held_out_robots, **watch.score._asdict()}
+    document = document.model_copy(update={"training": training})
     sb3_export.label(model, document)
+
+    # The model first: the policy can be made of it again.
+    policy_file = out / folders.POLICY_FILE
     folders.write_model(model, out / folders.MODEL_FILE)
     policy = sb3_export.export_policy(model.policy, document)
-    with reading.replace_file(out / folders.POLICY_FILE) as new:
+    with reading.replace_file(policy_file) as new:
         new.write_bytes(policy)
     callbacks.draw_curve(out, watch.curve, f"{options.algo} on {plan.env_id}, seed {options.seed}")
-    policy_file = out / folders.POLICY_FILE
     say(f"written: {policy_file} (to drive with), {out / folders.MODEL_FILE} (to train on)")
     if interrupt is not None:
         raise interrupt
     score = watch.curve[-1]
-    print_score(plan, score, policy_file)
+    print_score(plan, score, env, policy_file)
     return TrainingResult(out, score)
 
 
@@ -157,34 +174,38 @@ def make_model(
 
     from acsar_gym.tools.policies.sb3 import BatchVecEnv  # noqa: PLC0415
 
-    # Errors that are known before the model is loaded.
     options = plan.options
     torch.set_num_threads(min(plan.threads, options.threads or MAX_TORCH_THREADS))
+    # stable-baselines3 would train on the CPU without a word.
     if options.device == "cuda" and not torch.cuda.is_available():
         cause = "has no CUDA device that it can use" if torch.version.cuda else "is without CUDA"
         raise ConfigError(f"--device cuda: torch {torch.__version__} {cause}: leave --device out")
     if start is not None:
         check_trust(start, trust=options.trust)
 
-    # A training that goes on doesn't repeat the episodes of its start.
-    algorithm: Any = load_algorithm(options.algo)
-    model: BaseAlgorithm
+    # The recipe's wrappers may change what the policy observes.
     batch: VecEnv = BatchVecEnv(env)
     for wrapper in plan.recipe.import_wrappers():
         batch = wrapper(batch)
+
+    # A training that goes on doesn't repeat the episodes of its start.
     seed = options.seed + (folders.count_steps(start) if start else 0)
     arguments = {
         "device": options.device,
         "seed": seed % FIRST_HELD_OUT_SEED,
         "tensorboard_log": str(out / "tensorboard"),
     }
+    algorithm: Any = load_algorithm(options.algo)
+    model: Any
     try:
         if start is None:
-            built = {"stats_window_size": env.num_envs, **plan.recipe.build_arguments()}
-            model = algorithm(env=batch, **built | arguments)
+            recipe = {"stats_window_size": env.num_envs, **plan.recipe.build_arguments()}
+            model = algorithm(env=batch, **recipe | arguments)
         else:
             model = algorithm.load(start, batch, **arguments)
-            folders.load_buffer(model, start)
+            buffer = start.with_name(folders.BUFFER_FILE)
+            if buffer.exists():
+                model.load_replay_buffer(buffer)
     except AcsarError:
         raise
     except Exception as error:
@@ -192,42 +213,11 @@ def make_model(
         if start is not None:
             problem = f"{start}: isn't a model of {algorithm.__name__} for this env"
         raise ConfigError(f"{problem}: {format_error(error)}") from error
-    return model
+    result: BaseAlgorithm = model
+    return result
 
 
-def describe_model(
-    plan: TrainingPlan,
-    model: BaseAlgorithm,
-    env: RobotVectorEnv,
-    watch: TrainingWatch | None = None,
-) -> PolicyDocument:
-    """Describe the policy of a model and its training."""
-    space: Any = model.observation_space
-    training = {
-        "algorithm": type(model).__name__,
-        "recipe": plan.recipe.values,
-        "steps": model.num_timesteps,
-        "seed": plan.options.seed,
-        **folders.describe_origin(plan.options),
-        "finished": datetime.now(UTC).isoformat(timespec="seconds"),
-    }
-
-    # An interrupt can come before the first evaluation.
-    if watch is not None and watch.score is not None:
-        training |= {
-            "seconds": round(watch.seconds, 1),
-            "held_out": {"episodes": plan.held_out_robots, **watch.score._asdict()},
-        }
-    return describe_policy(
-        env,
-        plan.env_id,
-        width=space.shape[0],
-        randomization=plan.randomization,
-        training=training,
-    )
-
-
-def print_score(plan: TrainingPlan, score: Score, policy: Path) -> None:
+def print_score(plan: TrainingPlan, score: Score, env: RobotVectorEnv, policy: Path) -> None:
     """Print how good a policy is, and how to evaluate it."""
     options = plan.options
     count = plan.held_out_robots
@@ -242,7 +232,7 @@ def print_score(plan: TrainingPlan, score: Score, policy: Path) -> None:
     command = f"next: acsar-gym evaluate --policy {shlex.quote(str(policy))}"
     if not plan.env_id.startswith("acsar_gym/"):
         command += f" --env {plan.env_id}"
-    if options.robot and len(plan.robots) == 1:
+    if options.robot and len(set(env.fleet)) == 1:
         command += f" --robot {shlex.quote(options.robot)}"
     say(command)
 

@@ -11,8 +11,8 @@ import shutil
 import statistics
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
+from acsar_gym.config.fleet import make_fleet
 from acsar_gym.errors import ConfigError, show_value
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.jobs import run_jobs
@@ -58,17 +58,18 @@ def train_seeds(options: TrainingOptions) -> dict[int, Score]:
     """
     require_training()
     seeds = parse_seeds(options.seeds or "")
-    TrainingPlan.of(options.model_copy(update={"threads": 1}))  # raises the errors of all seeds
-    out = folders.make_folder(options.out, options.env.rpartition("/")[2]).resolve()
-
     # One thread for each seed, so that they don't wait for each other.
-    changes: dict[str, Any] = dict.fromkeys(("seeds", "workers", "address"))
-    changes |= {"progress": False, "threads": options.threads or 1}
-    jobs = [
-        options.model_copy(update={**changes, "seed": seed, "out": out / f"seed-{seed}"})
-        for seed in seeds
-    ]
+    changes = {"seeds": None, "workers": None, "address": None, "progress": False}
+    changes["threads"] = options.threads or 1
+    single = options.model_copy(update=changes)
+    # These raise the errors of all seeds.
+    TrainingPlan.of(single)
+    make_fleet(single.robot)
 
+    out = folders.make_folder(options.out, options.env.rpartition("/")[2]).resolve()
+    jobs = [single.model_copy(update={"seed": seed, "out": out / f"seed-{seed}"}) for seed in seeds]
+
+    # Scores are printed in the order in which the trainings end.
     scores: dict[int, Score] = {}
     running = run_jobs(train_seed, jobs, options.workers, options.address)
     try:
@@ -82,6 +83,7 @@ def train_seeds(options: TrainingOptions) -> dict[int, Score]:
                     flush=True,
                 )
     finally:
+        # Whatever ended the others, finished seeds are results.
         if scores:
             _summarize(scores, out)
     return scores
@@ -91,7 +93,7 @@ def train_seed(options: TrainingOptions) -> Score:
     """Train one seed, or go on with it in its folder, and print into its log."""
     out = options.out or Path()
     if folders.find_models(out):  # a process of this job has died
-        options = options.model_copy(update={"resume": out, "out": None, "trust": True})
+        options = TrainingOptions(resume=out, trust=True)
     else:
         shutil.rmtree(out, ignore_errors=True)
 

@@ -34,6 +34,7 @@ def batch(env: VecEnv) -> VecEnv:
     spec = env.get_attr("spec", 0)[0]
     options = {k: v for k, v in spec.kwargs.items() if k not in SINGLE_ENV_ARGUMENTS}
     robots = make_batch(spec.id, env.num_envs, **{"randomization": True} | options)
+    # Seeds that RL Zoo has set before the envs were replaced must not be lost.
     robots._seeds = list(env._seeds)  # noqa: SLF001 - what make_vec_env has seeded
     env.close()
     return robots

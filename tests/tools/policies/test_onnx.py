@@ -60,13 +60,8 @@ def test_reset_clears_the_states(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [
-        {"state": "float[n,2]"},
-        {"state": "float[50000,50000]"},
-        {"state": "int64[1,2]"},
-        {"outputs": 0},
-    ],
-    ids=["free", "huge", "integers", "lost"],
+    [{"state": "float[n,2]"}, {"state": "float[50000,50000]"}, {"outputs": 0}],
+    ids=["free", "huge", "lost"],
 )
 def test_onnx_policy_refuses_states(options: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(PolicyError, match=r"p\.onnx: "):
@@ -100,10 +95,9 @@ def test_onnx_policy_refuses_hostile_files_in_one_line(
     [
         (b"PK", "isn't an ONNX file but a zip"),
         (b"\x18\x00\x00\x00ORTM" + bytes(100), "isn't a whole ONNX file"),  # onnxruntime's own
-        (pickle.dumps([1]), "isn't a whole ONNX file"),
         (GOOD.read_bytes()[:900], "isn't a whole ONNX file"),
     ],
-    ids=["zip", "format", "pickle", "cut"],
+    ids=["zip", "format", "cut"],
 )
 def test_onnx_policy_names_other_files(content: bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / "policy.onnx"
@@ -119,7 +113,6 @@ def test_onnx_policy_reads_no_devices_pipes_and_large_files(tmp_path: Path) -> N
         file.truncate(MAX_POLICY_BYTES + 1)
     assert "regular file" in refused(pipe)
     assert "larger than 32 MB" in refused(large)
-    assert "regular file" in refused(Path("/dev/zero"))
 
 
 @pytest.mark.parametrize("env_id", ["phys2d/CartPole-v1", "CartPole-v1"])

@@ -30,7 +30,7 @@ def make_env(num: int = 6, **options: Any) -> BatchVecEnv:
     return wrapped(PointGoalVectorEnv(num, autoreset_mode="SameStep", **options))
 
 
-def test_batch_vec_env_reports_the_statistics_of_monitor() -> None:
+def test_batch_vec_env_reports_the_statistics_of_monitor_and_terminal_observations() -> None:
     """VecMonitor adds rewards up itself. The sums must be the same."""
     from stable_baselines3.common.vec_env import VecMonitor
 
@@ -44,33 +44,23 @@ def test_batch_vec_env_reports_the_statistics_of_monitor() -> None:
         env.reset()
     for _ in range(100):
         actions = rng.uniform(-1.0, 1.0, (6, 2)).astype(np.float32)
-        *_, dones, infos = ours.step(actions)
+        observations, _, dones, infos = ours.step(actions)
         *_, expected = theirs.step(actions)
+        assert all(infos[index] == {} for index in np.flatnonzero(~dones))
         for index in np.flatnonzero(dones):
             episode = infos[index]["episode"]
             monitored = expected[index]["episode"]
             assert episode["r"] == pytest.approx(monitored["r"], abs=1e-4)
             assert episode["l"] == monitored["l"]
+            # The last two numbers are the last action, which a new episode doesn't have.
+            last = infos[index]["terminal_observation"]
+            assert last[5:] == pytest.approx(actions[index])
+            assert np.asarray(observations)[index][5:].tolist() == [0.0, 0.0]
+            assert infos[index]["TimeLimit.truncated"] != infos[index]["is_success"]
             episodes += 1
     ours.close()
     theirs.close()
     assert episodes > 20
-
-
-def test_batch_vec_env_reports_terminal_observations() -> None:
-    env = make_env()
-    env.seed(0)
-    env.reset()
-    for _ in range(60):
-        observations, _, dones, infos = env.step(np.tile(np.array([0.3, 0.8], np.float32), (6, 1)))
-        for index in np.flatnonzero(dones):
-            last = infos[index]["terminal_observation"]
-            assert last[5:].tolist() == pytest.approx([0.3, 0.8])
-            assert np.asarray(observations)[index][5:].tolist() == [0.0, 0.0]
-            late = infos[index]["TimeLimit.truncated"]
-            assert late != infos[index]["is_success"] or not late
-        assert all(infos[index] == {} for index in np.flatnonzero(~dones))
-    env.close()
 
 
 def test_set_options_chooses_the_worlds_until_the_reset_after_the_next() -> None:
@@ -98,18 +88,13 @@ def test_set_options_chooses_the_worlds_until_the_reset_after_the_next() -> None
     assert len(set(worlds[9:])) > 3
 
 
-def test_make_batch_takes_an_id() -> None:
+def test_batch_vec_env_refuses_other_batches_and_options() -> None:
     from acsar_gym.tools.policies.sb3 import make_batch
 
-    env = make_batch("point_goal", 3, goal_distance=(0.3, 0.6))
-    assert (env.num_envs, env.reset().shape) == (3, (3, 7))
-    env.close()
     with pytest.raises(ConfigError, match="goals"):
         make_batch("point_goal", 2, goals=1)
-
-
-def test_batch_vec_env_refuses_other_batches_and_options() -> None:
-    env = make_env(2)
+    env = make_batch("point_goal", 2, goal_distance=(0.3, 0.6))
+    assert env.reset().shape == (2, 7)
     env.set_options([{"world": 1}, {"world": 2}])
     with pytest.raises(ConfigError, match="one dict for all robots"):
         env.reset()

@@ -87,18 +87,14 @@ def test_zip_policy_without_a_label_needs_an_env(tmp_path: Path) -> None:
 
 
 def test_zip_policy_refuses_other_files_in_one_line(good: Path, tmp_path: Path) -> None:
-    contents = {"empty": b"", "text": b"not a zip", "cut": good.read_bytes()[:-200]}
-    for name, content in contents.items():
-        (tmp_path / f"{name}.zip").write_bytes(content)
-    (tmp_path / "folder.zip").mkdir()
+    (tmp_path / "cut.zip").write_bytes(good.read_bytes()[:-200])
     os.mkfifo(tmp_path / "pipe.zip")  # which would be waited for
-    for name in (*contents, "folder", "pipe", "missing"):
+    for name in ("cut", "pipe", "missing"):
         refused(tmp_path / f"{name}.zip")
 
 
 def test_zip_policy_refuses_other_algorithms_actions_and_observations(tmp_path: Path) -> None:
     from stable_baselines3 import DQN, PPO
-    from stable_baselines3.common.envs import SimpleMultiObsEnv
     from stable_baselines3.common.vec_env import VecFrameStack
 
     from acsar_gym.tools.policies.sb3 import make_batch
@@ -108,8 +104,6 @@ def test_zip_policy_refuses_other_algorithms_actions_and_observations(tmp_path: 
     assert "and Discrete(2): a policy of this package" in refused(path, env_id="point_goal")
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(path)
     assert "and Box(-2.0, 2.0, (1,)" in refused(path, env_id="point_goal")
-    PPO("MultiInputPolicy", SimpleMultiObsEnv(discrete_actions=False), device="cpu").save(path)
-    assert "made for Dict('img'" in refused(path, env_id="point_goal")
     env = VecFrameStack(make_batch("point_goal", 1), 3)
     PPO("MlpPolicy", env, device="cpu").save(path)
     env.close()

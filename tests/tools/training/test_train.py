@@ -20,7 +20,6 @@ from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy
-from acsar_gym.tools.training import plan
 from acsar_gym.tools.training.options import TrainingOptions
 from acsar_gym.tools.training.plan import TrainingPlan
 from acsar_gym.tools.training.run import train
@@ -57,6 +56,7 @@ def test_train_writes_a_policy_that_decides_as_its_model(algo: str, tmp_path: Pa
     out = tmp_path / "out"
     recipe.write_text(yaml.safe_dump({"default": RECIPES[algo]}))
     train(tiny(out, algo=algo, conf_file=recipe))
+
     policy = OnnxPolicy(out / "policy.onnx")
     model = ZipPolicy(out / "model.zip", trust=True)
     assert policy.document == model.document
@@ -67,17 +67,6 @@ def test_train_writes_a_policy_that_decides_as_its_model(algo: str, tmp_path: Pa
     policy.reset()
     assert policy(observations[0]) == pytest.approx(actions[0], abs=1e-6)
     assert (policy(observations[0]) == actions[0]).all() == (algo != "ppo_lstm")
-
-
-def test_train_ends_at_its_target(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    score = train(tiny(tmp_path, steps=100_000, target=0.0)).score
-    output = capsys.readouterr().out
-    assert " of 512 episodes (" in output
-    assert "target of 0.0% reached at 256 steps" in output
-    with (tmp_path / "learning_curve.csv").open() as file:
-        (row,) = csv.DictReader(file)
-    assert int(row["steps"]) == score.steps == 256
-    assert float(row["success_rate"]) == score.success_rate
 
 
 def test_train_refuses_cuda_without_a_device(tmp_path: Path) -> None:
@@ -119,50 +108,51 @@ def test_train_saves_at_sigterm(tmp_path: Path) -> None:
     assert (tmp_path / "model.zip").stat().st_size > 1000
 
 
-def test_train_prints_the_score_and_the_next_command(
+def test_train_ends_at_its_target_and_prints_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "my runs"
-    train(tiny(out, steps=1, robots=4))
-    first, written, score, following = capsys.readouterr().out.splitlines()
+    result = train(tiny(out, steps=100_000, target=0.0, progress=True))
+    first, progress, written, score, following = capsys.readouterr().out.splitlines()
     assert first == "training on an open floor; 1 thread, seed 3"
+    assert progress.startswith("256 of 100,000 steps, held-out success ")
     assert written.startswith(f"written: {out / 'policy.onnx'}")
     assert score.startswith("held-out success: ")
-    assert " of 64 episodes" in score
+    assert score.endswith("; target of 0.0% reached at 256 steps")
+    assert " of 512 episodes (" in score
     assert following == f"next: acsar-gym evaluate --policy '{out / 'policy.onnx'}'"
+
     names = {"policy.onnx", "model.zip", "tensorboard", "config.yml", "learning_curve.csv"}
     assert {path.name for path in out.iterdir()} == names | {"learning_curve.png"}
+    with (out / "learning_curve.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert [float(row[name]) for name in ("steps", "success_rate")] == [256, result.score[2]]
 
 
 def test_train_prints_measured_ranges(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lag = {"low": 0.1, "high": 0.12, "method": "identify"}
     robot = RobotConfig.preset("acsar").with_(
         motor={"time_constant": 0.11},
-        firmware={"delay_samples": [0.001, 0.004]},
         measured={"motor.time_constant": lag},
         motor_fit="doesn't fit: saturates at 6.0 rad/s",
     )
     robot.save(tmp_path / "robot.yaml")
-    options = {"steps": 1, "robots": 4, "robot": str(tmp_path / "robot.yaml")}
+    train(tiny(tmp_path / "out", steps=1, robots=4, robot=str(tmp_path / "robot.yaml")))
 
-    train(tiny(tmp_path / "measured", **options))
     first, misfit, *_ = capsys.readouterr().out.splitlines()
+    assert "seed 3; randomized as measured: motor_lag 0.909 to 1.09; by default widths: " in first
     assert misfit.endswith(
         "robot.yaml: this robot's simulation doesn't fit: saturates at 6.0 rad/s"
     )
-    ranges = "motor_lag 0.909 to 1.09, delay_samples (2 delays up to 0.004 s)"
-    assert f"seed 3; randomized as measured: {ranges}; by default widths: friction" in first
-    document = OnnxPolicy(tmp_path / "measured/policy.onnx").document
+    document = OnnxPolicy(tmp_path / "out/policy.onnx").document
     assert document.robot["motor.time_constant"] == pytest.approx((0.1, 0.12))
-    train(tiny(tmp_path / "nominal", randomize=False, **options))
-    assert "randomized" not in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
         ({"steps": 100_000, "robots": 512, "env": "obstacle_goal"}, "robots are only 7 updates"),
-        ({"steps": 4096, "robots": 512, "algo": "sac"}, "4,096 steps of 512 robots are only 8"),
+        ({"steps": 4096, "robots": 512, "algo": "sac"}, "512 robots are only 8"),
         ({"steps": 100_000, "robots": 16, "env": "obstacle_goal"}, ""),
         ({"steps": 1, "robots": 4}, ""),
     ],
@@ -173,13 +163,21 @@ def test_update_hint_reports_few_updates(options: dict[str, Any], hint: str) -> 
     assert bool(line) == bool(hint)
 
 
-def test_plan_takes_the_ranges_of_the_recipe(tmp_path: Path) -> None:
+def test_training_plan_takes_the_ranges_of_the_recipe(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.yml"
     text = "{env_kwargs: {randomization: {friction: [0.7, 1.2]}}, n_timesteps: 1, n_envs: 4}"
     recipe.write_text(f"acsar_gym/PointGoal-v0: {text}", encoding="utf-8")
-    settings = TrainingPlan.of(tiny(tmp_path / "out", conf_file=recipe))
-    assert settings.randomization == {"friction": [0.7, 1.2]}
-    assert 1 <= plan.measure_free_cores() <= usable_cores()
-    settings.make_held_out_batch(settings.make_training_batch()).close()
-    options = tiny(tmp_path / "out", conf_file=recipe, randomize=False)
-    assert TrainingPlan.of(options).randomization is False
+    options = TrainingOptions(conf_file=recipe)
+    plan = TrainingPlan.of(options)
+    assert plan.randomization == {"friction": [0.7, 1.2]}
+    assert plan.threads == usable_cores()
+    plan.make_held_out_batch(plan.make_training_batch()).close()
+
+    fixed = TrainingPlan.of(options.model_copy(update={"randomize": False, "threads": 1}))
+    assert (fixed.randomization, fixed.threads) == (False, 1)
+    for name, value, message in (
+        ("threads", 0, "--threads 0: must be 1"),
+        ("worlds", ("clutter",), "--worlds: point_goal has none"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            TrainingPlan.of(options.model_copy(update={name: value}))
