@@ -267,6 +267,7 @@ class TranslatedErrors:
 def show_value(value: object) -> str:
     """Return a value's repr(), shortened and on one line."""
     try:
+        # A value of a file may be a list of thousands.
         return " ".join(reprlib.repr(value).split())
     except ValueError:  # Python refuses to print integers of thousands of digits
         return "a very long number"
@@ -284,6 +285,7 @@ def format_error(error: BaseException) -> str:
 
 def escape_unprintable(text: str, limit: int = 1_000) -> str:
     """Return untrusted text made safe for a terminal: shortened, control characters escaped."""
+    # Names come from bags, boards and maps, and may be of any length.
     if len(text) > limit:
         text = f"{text[:limit]}..."
     if text.isprintable():

@@ -78,9 +78,6 @@ class DriveObserver:
             about: What holds for all episodes: the env, its task, and names of observations.
         """
 
-    def after_reset(self, robot: Robot) -> None:
-        """Called when an episode has started."""
-
     def after_tick(self, robot: Robot, linear: float, angular: float) -> None:
         """Called after a control period.
 
@@ -91,7 +88,7 @@ class DriveObserver:
         """
 
     def after_read(self, robot: Robot) -> None:
-        """Called when the sensors have been read."""
+        """Called when the sensors have been reset or read."""
 
     def after_step(
         self, robot: Robot, result: StepResult, action: NDArray[np.floating] | None = None
@@ -249,6 +246,7 @@ class Robot:
         # The link first: the rest starts from its clock and its wheels at rest.
         self.link.reset(scene)
         self.safety.reset()
+        # Bytes and times of the episode before don't count any more.
         self.wire.reset()
         self._stopwatch = None
         self._wheel_check = None
@@ -264,7 +262,7 @@ class Robot:
             self._wheel_check = WheelCheck(self.config, self.link.device or "DEVICE")
 
         self.sensors.reset(scene, rng)
-        self._observer.after_reset(self)
+        self._observer.after_read(self)
 
     def read(self) -> NDArray[np.float64]:
         """Return the numbers of all sensors, (sum of their sizes,), as in an observation.
@@ -374,6 +372,7 @@ class Robot:
         try:
             check.tick(speeds, self.wire.speeds, duration, fresh=fresh)
         except WheelError as error:
+            # Boards often state the cause in a line of text.
             notes = self.wire.decoder.notes
             if not notes:
                 raise
@@ -427,6 +426,7 @@ class Robot:
         estop --release`, or `r` in `acsar-gym drive`. With real wheels this holds for all robots of
         this process.
         """
+        # All robots of a process share the button that a person presses.
         if self.link.is_real:
             hold_process()
         else:
@@ -469,6 +469,7 @@ class Robot:
             self.link.close()
             if self._stops is not None:
                 self._stops.disconnect()
+        # KeyboardInterrupt is no fault of the robot.
         if isinstance(error, Exception):
             self._observer.after_error(self, error)
 
@@ -484,6 +485,7 @@ class Robot:
             if self._stops is not None:
                 self._stops.close()
                 self._stops = None
+            # Recording ends last, so that it has the stop.
             self.sensors.close()
             self._observer.close()
 

@@ -14,6 +14,8 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +96,7 @@ class ScriptedLink(Link):
         if isinstance(self.then, bytes):
             return self.then
         commands = _decode_speeds(self.written[-1]) if self.written else []
+        # A board at rest answers before its first command.
         newest = commands[-1] if commands else ZERO
         return self.then([speed or 0.0 for speed in newest])
 
@@ -111,33 +114,20 @@ def _decode_speeds(data: bytes) -> list[Command]:
     return [reading.speeds for reading in Decoder().feed(data)]
 
 
+@dataclass
 class EmulatedBoard:
-    """A board that another process emulates on a pseudo-terminal. See `emulated_board`.
+    """A board that another process emulates on a pseudo-terminal. See `emulated_board`."""
 
-    Args:
-        send_signal: Sends a signal to that process.
-        device: Path of the board.
-        log: File of the events at the board, one JSON line for each.
-        lidar_device: Path of the emulated LiDAR.
-
-    Attributes:
-        device: Path that links open. Empty while the cable is pulled.
-        lidar_device: Path of the emulated LiDAR. None without a LiDAR.
-    """
-
-    def __init__(
-        self,
-        send_signal: Callable[[signal.Signals], None],
-        device: str,
-        log: Path,
-        lidar_device: str | None = None,
-    ) -> None:
-        self.device = device
-        self.lidar_device = lidar_device
-        self._send_signal = send_signal
-        self._log = log
-        self._events: list[dict[str, Any]] = []
-        self._read_bytes = 0
+    send_signal: Callable[[signal.Signals], None]
+    """Sends a signal to that process."""
+    device: str
+    """Path that links open. Empty while the cable is pulled."""
+    log: Path
+    """File of the events at the board, one JSON line for each."""
+    lidar_device: str | None = None
+    """Path of the emulated LiDAR. None without a LiDAR."""
+    _events: list[dict[str, Any]] = field(default_factory=list, init=False)
+    _read_bytes: int = field(default=0, init=False)
 
     def events(self) -> list[dict[str, Any]]:
         """Return the log until now. "t" is the machine's monotonic clock [s].
@@ -151,7 +141,7 @@ class EmulatedBoard:
         - "device": the path after the cable was pulled or plugged in
         """
         # The emulator may be in the middle of a line: only whole lines are read.
-        with self._log.open("rb") as log:
+        with self.log.open("rb") as log:
             log.seek(self._read_bytes)
             complete, end, _ = log.read().rpartition(b"\n")
         self._events += map(json.loads, complete.splitlines())
@@ -178,6 +168,7 @@ class EmulatedBoard:
     def is_stopped(self) -> bool:
         """Whether wheels were commanded to turn, and the newest command is zero."""
         commands = self.commands()
+        # Before the first drive, zeros are no stop.
         return any(command != ZERO for command in commands) and commands[-1] == ZERO
 
     def stands(self, loops: int = 100) -> bool:
@@ -187,16 +178,17 @@ class EmulatedBoard:
             loops: Number of loops, of 5 ms by default.
         """
         poses = self.poses()
+        # Noise of the physics is far below a tenth of a millimetre.
         spread = [max(values) - min(values) for values in zip(*poses[-loops:], strict=True)]
         return len(poses) > loops and max(spread) < 1e-4
 
     def pause(self) -> None:
         """Freeze the board: it neither reads nor answers."""
-        self._send_signal(signal.SIGSTOP)
+        self.send_signal(signal.SIGSTOP)
 
     def resume(self) -> None:
         """Let a frozen board go on."""
-        self._send_signal(signal.SIGCONT)
+        self.send_signal(signal.SIGCONT)
 
     def pull(self) -> None:
         """Pull the cable. The board goes on without it. Idempotent."""
@@ -214,7 +206,7 @@ class EmulatedBoard:
 
         # The emulator logs the new path once it has moved the cable.
         moves = len(list_devices())
-        self._send_signal(number)
+        self.send_signal(number)
         wait_until(lambda: len(list_devices()) > moves, "a cable that moves")
         self.device = list_devices()[-1]
 
@@ -253,6 +245,7 @@ def emulated_board(
     from acsar_gym.tools.emulation.board import run_emulator  # noqa: PLC0415 - NumPy and numba
 
     with tempfile.TemporaryDirectory() as folder:
+        # The emulator is another process, so it gets the robot as a file.
         file = Path(folder, "robot.yaml")
         log = Path(folder, "log.jsonl")
         RobotConfig.of(robot).save(file)
@@ -263,10 +256,7 @@ def emulated_board(
             options.append("--lidar")
 
         with run_emulator(*options) as devices:
-
-            def send_signal(number: signal.Signals) -> None:
-                os.kill(devices.process, number)
-
+            send_signal = partial(os.kill, devices.process)
             yield EmulatedBoard(send_signal, devices.robot, log, devices.lidar)
 
 

@@ -39,12 +39,11 @@ class Wire:
     Args:
         link: Link to the board.
         config: Robot configuration.
-        period: Duration of an exchange [s]. None for the control period.
     """
 
-    def __init__(self, link: Link, config: RobotConfig, period: float | None = None) -> None:
+    def __init__(self, link: Link, config: RobotConfig) -> None:
         self._link = link
-        self._period = period or config.period
+        self._period = config.period
         self._rules = rules.make_rules(config)
         self._line_time = config.line_time
         self._line_end = line_end(trailing_comma=config.trailing_comma)

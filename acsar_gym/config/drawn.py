@@ -63,12 +63,6 @@ def parse_numbers(text: str) -> range | None:
     return numbers
 
 
-def expand_name(text: str) -> list[str]:
-    """Return the names of the single robots that a name means. See `parse_numbers`."""
-    numbers = parse_numbers(text)
-    return [text] if numbers is None else [f"{PREFIX}{number}" for number in numbers]
-
-
 def draw_robot(number: int) -> dict[str, Any]:
     """Return the fields of a drawn robot.
 

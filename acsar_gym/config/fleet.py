@@ -26,7 +26,7 @@ SHARED_FIELDS = (
     "encoder.window",
 )
 """The timing of the wire and of the board, which all robots of a batch share."""
-_COUNTED = re.compile(r"(?:(?P<count>[0-9]{1,5})x)?(?P<name>.*)", re.DOTALL)
+_COUNTED = re.compile(r"(?:([0-9]{1,5})x)?(.*)", re.DOTALL)
 """A name that may follow a number of robots, as in "24xjackal"."""
 
 
@@ -57,6 +57,7 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
             f"robot: a fleet of {len(sources):,} robots: must have 1 to {MAX_KINDS:,}; "
             "drawn ones are given as 'drawn:0-63'"
         )
+    # Robots that no row of the batch gets are never made.
     robots = tuple(RobotConfig.of(robot) for robot in sources[:most])
     names = tuple(_name(robot, place) for place, robot in enumerate(sources[:most]))
     fleet = Fleet(robots, names)
@@ -75,9 +76,11 @@ def _list_sources(source: FleetSource) -> list[RobotSource]:
 
     # Counts and ranges may be mixed: "24xjackal,drawn:0-7".
     names: list[RobotSource] = []
-    for match in map(_COUNTED.fullmatch, source.split(",")):
-        if match is not None:
-            names += drawn.expand_name(match["name"]) * int(match["count"] or 1)
+    for item in source.split(","):
+        count, name = _COUNTED.findall(item)[0]
+        numbers = drawn.parse_numbers(name)
+        robots = [name] if numbers is None else [f"{drawn.PREFIX}{number}" for number in numbers]
+        names += robots * int(count or 1)
     return names
 
 

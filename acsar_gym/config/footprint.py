@@ -134,23 +134,21 @@ def outline_reach(outline: Outline, place: Point, bearings: ArrayLike) -> NDArra
     Returns:
         The distance to the farthest side that a ray meets [m], 0 if it meets none.
     """
-    reaches = np.zeros(np.shape(bearings))
+    # One row for each corner, in the frame of each ray: along it, and to its left.
     cos = np.cos(bearings)
     sin = np.sin(bearings)
-    # In the frame of each ray: along it, and to its left.
-    corners = [(px - place[0], py - place[1]) for px, py in outline]
-    along = [cos * x + sin * y for x, y in corners]
-    across = [cos * y - sin * x for x, y in corners]
+    corners = np.array(outline) - place
+    along = np.array([cos * x + sin * y for x, y in corners])
+    across = np.array([cos * y - sin * x for x, y in corners])
 
-    for n, (b, d) in enumerate(zip(along, across, strict=True)):
-        a = along[n - 1]
-        c = across[n - 1]
-
-        # A side is met if its ends are on different sides of the ray.
-        met = (c > 0.0) != (d > 0.0)
-        reach = a + (b - a) * c / np.where(met, c - d, 1.0)
-        reaches = np.where(met, np.maximum(reaches, reach), reaches)
-    return reaches
+    # A side is met if its ends are on different sides of the ray.
+    along_before = np.roll(along, 1, axis=0)
+    across_before = np.roll(across, 1, axis=0)
+    is_met = (across_before > 0.0) != (across > 0.0)
+    height = np.where(is_met, across_before - across, 1.0)
+    reaches = along_before + (along - along_before) * across_before / height
+    farthest: NDArray[np.float64] = np.where(is_met, reaches, 0.0).max(axis=0, initial=0.0)
+    return farthest
 
 
 def _distance(p: Point, a: Point, b: Point) -> float:

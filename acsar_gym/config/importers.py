@@ -80,6 +80,7 @@ def read_urdf(text: str, names: Collection[str]) -> dict[str, Any]:
         raise ConfigError(
             f"has no parameters of {DRIVER_PLUGIN} in <ros2_control><hardware>: {SIX_NUMBERS}"
         )
+    # The driver's own default is so slow that the rate must be lower as well.
     if "baud_rate" not in fields:
         fields = DRIVER_DEFAULTS | fields
     return _measure_wheels(root) | fields
@@ -89,6 +90,7 @@ def _measure_wheels(root: Element) -> dict[str, Any]:
     """Track and wheelbase by the origins of three wheel joints, if the URDF has them [m]."""
     origins = [root.find(f"joint[@name='{name}']/origin") for name in WHEEL_JOINTS[:3]]
     places = [origin.get("xyz", "").split() for origin in origins if origin is not None]
+    # A pair across gives the separation, a pair along a side the wheelbase.
     if len(places) < 3:
         return {}
     try:
@@ -141,6 +143,7 @@ def read_controller(nodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         if limits:
             fields[section] = limits
 
+    # Joints that are missing are an error, as ROS needs them to drive.
     fields["wheel_joints"] = _read_joints(params)
     separation = fields["wheelbase"] = params["wheel_separation"]
     multiplier = params.get("wheel_separation_multiplier", 1.0)
@@ -163,6 +166,7 @@ def _read_limits(params: Mapping[str, Any], axis: str) -> dict[str, Any]:
         for name, value in params.items()
         if name.startswith(prefix)
     }
+    # The word for accelerations is also in the names of decelerations.
     for kind, word in FLAGS.items():
         if not limits.pop(f"has_{kind}_limits", True):
             limits |= {name: None for name in limits if word in name}
@@ -174,5 +178,6 @@ def _read_joints(params: Mapping[str, Any]) -> list[Any]:
     sides: list[Any] = [params.get(f"{side}_wheel_names") for side in ("right", "left")]
     if not all(isinstance(side, list) and 1 <= len(side) <= 2 for side in sides):
         raise ConfigError("left_wheel_names and right_wheel_names must be two names each, or one")
+    # A side with a single joint has it twice.
     right_side, left_side = sides
     return [right_side[0], left_side[0], left_side[-1], right_side[-1]]

@@ -123,7 +123,7 @@ class RobotConfig(Section):
 
     hints: ClassVar[Mapping[str, str]] = HINTS
 
-    wheel_radius: Annotated[float, Field(ge=0.005, le=1.0)] = 0.05
+    wheel_radius: float = Field(0.05, ge=0.005, le=1.0)
     """Radius of the wheels [m]. A number in centimetres is out of range."""
     wheel_separation: Length = 0.3
     """Distance between the centres of left and right wheels [m]."""
@@ -148,18 +148,18 @@ class RobotConfig(Section):
     only after its comma."""
     control_rate: Rate = 100.0
     """Ticks per second [Hz]. Each tick sends a command line."""
-    late_after: Annotated[float, Field(gt=0.0, le=1.0)] = 0.2
+    late_after: float = Field(0.2, gt=0.0, le=1.0)
     """A tick is late if it ends more than this share of a control period after its deadline. A
     smaller delay has no measurable effect on drives and their odometry
     (`pytest -s -m slow tests/links/test_lateness.py`)."""
     connect_timeout: Wait = 5.0
     """Longest wait for the first valid line after opening [s]. AVR boards reset when they are
     opened."""
-    reconnect_timeout: Annotated[float, Field(ge=0.0, le=3600.0)] = 10.0
+    reconnect_timeout: float = Field(10.0, ge=0.0, le=3600.0)
     """Longest wait at the next activation for a lost port to come back [s]."""
     feedback_timeout: Wait = 0.5
     """Feedback older than this stops the robot with an error [s]."""
-    watchdog_timeout: Annotated[float, Field(ge=0.01, le=60.0)] | None = 0.15
+    watchdog_timeout: float | None = Field(0.15, ge=0.01, le=60.0)
     """If the driving process hangs for this time while wheels turn, the watchdog process sends zero
     commands [s], 0.01 to 60. If the process died, it does so at once. None: no watchdog."""
     wheel_check: bool = True
@@ -194,7 +194,7 @@ class RobotConfig(Section):
     """y of the LiDAR in the base frame [m], to the left."""
     lidar_z_offset: Offset = 0.37
     """z of the LiDAR in the base frame [m], up."""
-    lidar_yaw: Annotated[float, Field(ge=-2.0 * math.pi, le=2.0 * math.pi)] | None = None
+    lidar_yaw: float | None = Field(None, ge=-2.0 * math.pi, le=2.0 * math.pi)
     """Direction of a real LiDAR's zero, counter-clockwise from the robot's x axis [rad]. None: 0
     for a LiDAR on a serial port, while a LiDAR in ROS needs a transform on /tf_static."""
     footprint: Corners | None = None
@@ -353,6 +353,7 @@ class RobotConfig(Section):
     @property
     def outline(self) -> Outline:
         """Corners of the footprint in the base frame, counter-clockwise [m]."""
+        # Wheels may be outside of the body.
         length = max(self.body.length, self.wheelbase + CONTACT_PATCH)
         width = max(self.body.width, self.wheel_separation + CONTACT_PATCH)
         return self.footprint or make_rectangle(length, width)
@@ -374,6 +375,7 @@ class RobotConfig(Section):
     @property
     def twist_geometry(self) -> tuple[float, float, float]:
         """Left and right radius and separation by which a controller converts twists [m]."""
+        # The robot's own geometry may have been calibrated since, but its controller keeps its own.
         separation = self.ros2.wheel_separation or self.effective_separation
         return *(self.ros2.wheel_radii or self.wheel_radii), separation
 

@@ -71,6 +71,7 @@ def save_robot(
     # Remarks that are written again below take their place.
     for remark in outdated:
         text = text.replace(_comment(remark), "")
+    # Only what differs is changed, so that the rest of the file stays as it was written.
     text = _change_text(text, find_differences(robot, old))
     for name, remark in remarks.items():
         if _comment(remark) not in text:
@@ -96,6 +97,7 @@ def _read_present(path: Path, kind: type[Section]) -> tuple[str, Section]:
     try:
         text = files.read_text(path).replace("\r\n", "\n")
         robot = kind.model_validate(files.read_own_fields(text, kind.model_fields))
+        # A file that the editor cannot read must not be found out after a drive.
         _change_text(text, {})
     except ConfigError as error:
         raise ConfigError(

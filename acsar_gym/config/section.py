@@ -39,6 +39,7 @@ class Section(BaseModel):
         try:
             return handler(data)
         except ValidationError as error:
+            # Pydantic knows all problems of a section at once.
             problems = error.errors(include_url=False, include_context=False)
             lines = [cls._describe_problem(item) for item in problems[:MAX_PROBLEMS]]
             if len(problems) > MAX_PROBLEMS:

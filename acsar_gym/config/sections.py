@@ -64,23 +64,23 @@ class LidarConfig(Section):
     """The LiDAR and how its scans are used. The robot's lidar_x/y/z_offset are its position."""
 
     section = "lidar"
-    rays: Annotated[int, Field(gt=0, le=10_000)] = 64
+    rays: int = Field(64, gt=0, le=10_000)
     """Rays of an observation. The range of a ray is interpolated between the two measurements next
     to it in direction."""
-    field_of_view: Annotated[float, Field(gt=0.0, le=2.0 * math.pi + 1e-9)] = 2.0 * math.pi
+    field_of_view: float = Field(2.0 * math.pi, gt=0.0, le=2.0 * math.pi + 1e-9)
     """Angle covered by the rays, centred on the x axis [rad]. A full turn has no duplicate ray."""
     min_range: Distance = 0.1
     """Smaller measurements are set to this range [m]."""
-    max_range: Annotated[float, Field(gt=0.0, le=1e3)] = 5.0
+    max_range: float = Field(5.0, gt=0.0, le=1e3)
     """Larger or failed measurements are set to this range [m], at most 1 km."""
     rate: Rate = 10.0
     """Scans per second [Hz], at most 10,000."""
     noise: Distance = 0.01
     """Standard deviation of simulated ranges [m]. The default is typical of hobby LiDARs at a few
     metres."""
-    bias: Annotated[float, Field(ge=-1e3, le=1e3)] = 0.0
+    bias: float = Field(0.0, ge=-1e3, le=1e3)
     """Added to all simulated ranges [m]."""
-    dropouts: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    dropouts: float = Field(0.0, ge=0.0, lt=1.0)
     """Share of simulated measurements that fail."""
     outliers: Share = 0.0
     """Share of simulated measurements at an edge that lie anywhere between the surfaces in front of
@@ -91,6 +91,7 @@ class LidarConfig(Section):
     @model_validator(mode="after")
     def _ranges_and_times_fit(self) -> Self:
         """Check the order of the ranges, and the time-out against the rate."""
+        # Measurements are clipped to these two, which must not cross.
         if self.min_range >= self.max_range:
             raise ConfigError(
                 f"lidar.min_range = {self.min_range:g}: must be less than lidar.max_range = "
@@ -147,9 +148,9 @@ class EncoderConfig(Section):
     """The wheel encoders, as the firmware reads them."""
 
     section = "encoder"
-    counts_per_revolution: Annotated[int, Field(gt=0, le=10_000_000)] = 1320
+    counts_per_revolution: int = Field(1320, gt=0, le=10_000_000)
     """Counts per turn of the wheel, at most ten million."""
-    window: Annotated[float, Field(gt=0.0, le=5.0)] = 0.05
+    window: float = Field(0.05, gt=0.0, le=5.0)
     """Averaging time of the feedback [s], at most 5 s and 2,000 loops of the firmware."""
     quantum: Factor | None = None
     """Printed speeds are rounded to multiples of this [rad/s], at most 100. None: they are only
@@ -180,7 +181,7 @@ class BodyConfig(Section):
     """Chassis and ground."""
 
     section = "body"
-    mass: Annotated[float, Field(gt=0.0, le=1e5)] = 4.0
+    mass: float = Field(4.0, gt=0.0, le=1e5)
     """Mass of the whole robot [kg], at most 100 t."""
     length: Length = 0.34
     """Length of the footprint, along x [m]."""
@@ -192,7 +193,7 @@ class BodyConfig(Section):
     """Coulomb friction coefficient between tyre and ground, at most 100."""
     slip_speed: Speed = 0.005
     """Slip speed below which friction is proportional to slip [m/s], at most 1,000."""
-    turn_factor: Annotated[float, Field(gt=1.0, le=100.0)] | None = None
+    turn_factor: float | None = Field(None, gt=1.0, le=100.0)
     """Factor by which the robot turns slower than the differential-drive formula says, at most 100.
     It sets the tyres' sideways friction: (mu_lateral / mu_longitudinal)^2 =
     (turn_factor - 1) (wheel_separation / wheelbase)^2. None: equal friction in all directions, so
@@ -287,6 +288,7 @@ class WheelsConfig(Section):
         """Check that no letter belongs to two wheels."""
         for device in ("motor", "encoder"):
             letters = Counter(getattr(wheel, device) for wheel in self.each)
+            # Two wheels that share a letter would turn together.
             letter, count = max(letters.items(), key=lambda item: item[1])
             if count > 1:
                 raise ConfigError(
@@ -313,6 +315,7 @@ class WheelsConfig(Section):
 
 def _letters(wiring: Sequence[tuple[str, int]]) -> WheelLetters | None:
     """Return the mapping of four wheels, None for the identity."""
+    # The usual wiring needs no conversion, which every tick would pay for.
     if [letter for letter, sign in wiring if sign == 1] == list(WIRE_LETTERS):
         return None
     letters, signs = zip(*wiring, strict=True)
@@ -354,6 +357,7 @@ def list_joints(value: Any) -> Any:
     names = [*value] if isinstance(value, list | tuple) else []
     if len(names) != 4 or not all(isinstance(name, str) and name for name in names):
         raise ValueError("must be four names in the order a, b, c, d, or {left: NAME, right: NAME}")
+    # A joint may occur twice, as that of both wheels of a side.
     a, b, c, d = names
     if len({*names}) != 4 and not (a == d != b == c):
         raise ValueError("must name each joint once, or {left: NAME, right: NAME}")
@@ -381,7 +385,7 @@ class Ros2Config(Section):
     """Topic of the robot's odometry, nav_msgs/Odometry."""
     scan_topic: Topic = "scan"
     """Topic of the LiDAR `--lidar ros2`, sensor_msgs/LaserScan."""
-    wheel_separation: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
+    wheel_separation: float | None = Field(None, gt=0.0, le=1000.0)
     """Separation by which the robot's controller converts twists to speeds of wheels, its
     multiplier included [m]. None: that of the robot. Write it as the controller's file has it:
     `identify` and `calibrate` keep it."""
@@ -430,9 +434,9 @@ class SpeedLimits(Section):
     """
 
     section = "limits"
-    max_velocity: Annotated[float, Field(ge=0.0, le=1e6)] | None = None
+    max_velocity: float | None = Field(None, ge=0.0, le=1e6)
     """Forward or counter-clockwise."""
-    min_velocity: Annotated[float, Field(ge=-1e6, le=0.0)] | None = None
+    min_velocity: float | None = Field(None, ge=-1e6, le=0.0)
     """Backward or clockwise. Not positive."""
     max_acceleration: Increase | None = None
     """For speeding up forward, and in the names of Humble also for braking backward."""
@@ -486,6 +490,7 @@ def default_acceleration(limit: float) -> BeforeValidator:
     """Return a validator that sets a missing `max_acceleration` to this limit. Null stays null."""
 
     def complete(value: Any) -> Any:
+        # An object states all of its fields, also those that are None.
         if isinstance(value, SpeedLimits):
             return value.model_dump()
         return {"max_acceleration": limit} | value if isinstance(value, dict) else value
@@ -505,6 +510,7 @@ class Geofence(Section):
     """Smallest y [m]. Negative."""
     max_y: float = math.inf
     """Largest y [m]. Positive."""
+    # An infinite side is open.
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=True)
 
     @model_validator(mode="after")
@@ -567,6 +573,7 @@ def validate_measured(measured: Mapping[str, Measured], model: type[Section]) ->
 def _find_number(model: type[Section], name: str) -> TypeAdapter[Any] | None:
     """The validator of a field by its dotted name, None for an unknown name."""
     first, _, inner = name.partition(".")
+    # Dotted names lead through the sections to a field.
     field = model.model_fields.get(first)
     if field is None:
         return None
@@ -599,6 +606,7 @@ def update_measured(
         if wheel in WIRE_LETTERS and field in result:
             shared = result.pop(field)
             result = {f"{field}.{letter}": shared for letter in WIRE_LETTERS} | result
+        # What was measured before of the same wheels is outdated.
         for outdated in (name, *(f"{name}.{letter}" for letter in WIRE_LETTERS)):
             result.pop(outdated, None)
     return result | {name: interval for name, interval in findings.items() if interval is not None}

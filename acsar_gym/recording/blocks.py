@@ -67,8 +67,8 @@ class Head(Section):
     """The line of JSON of a block."""
 
     model_config = ConfigDict(extra="ignore", strict=True)
-    before: int = 0
-    """Checksum of the bytes of the file since the block before."""
+    checksum: int = Field(default=0, alias="before")
+    """CRC-32 of the bytes of the file since the block before."""
     episode: int = -1
     """Number of the episode. -1 for the first and last block of a file."""
     start: Annotated[float, Field(ge=-MAX_STAMP, le=MAX_STAMP)] = 0.0
@@ -143,7 +143,7 @@ def iterate_blocks(file: IO[bytes], damages: list[str]) -> Iterator[Block]:
         following = place + 1
         if block is not None:
             following = file.tell()
-            if _compute_checksum(file, end, place) != block.head.before:
+            if _compute_checksum(file, end, place) != block.head.checksum:
                 damages.append(f"{place - end:,} bytes from byte {end:,} on")
             end = following
             unpacked += _count_bytes(block)

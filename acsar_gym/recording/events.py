@@ -119,6 +119,7 @@ class Tables(dict[str, Table]):
     """Tables of an episode, or of a part of it, by name. A table that isn't there has no row."""
 
     def __missing__(self, name: str) -> Table:
+        # Readers needn't ask whether a robot has a LiDAR or people around it.
         return np.zeros(EMPTY_SHAPES.get(name, 0), TABLES[name])
 
     def count(self, name: str) -> int:
@@ -145,6 +146,7 @@ class Tables(dict[str, Table]):
                 # All bytes in a row compress best, and their lengths are in the other table.
                 data = b"".join([data for _, data in rows[name]])
                 tables[f"{name}_bytes"] = np.frombuffer(data, OCTETS)
+            # Each revolution has its own number of measurements.
             elif name == "measurements":
                 tables[name] = np.concatenate([np.column_stack(columns) for columns in rows[name]])
             else:

@@ -90,6 +90,7 @@ def iterate_tables(recording: Recording) -> Iterator[tuple[str, TableColumns]]:
 def _list_tables(part: Episode) -> Iterator[tuple[str, TableColumns]]:
     """Yield names and columns of the exported tables."""
     tables = part.tables
+    # Odometry and truth are next to each other, so that plots compare them.
     truth = dict(zip(TRUTH, part.truth.T, strict=True))
     yield "ticks", split_columns(tables["ticks"]) | truth
 

@@ -102,6 +102,7 @@ class ReplayLink(Link):
         period = self._periods[number]
         lateness = float(period["lateness"])
         self.lateness = None if math.isnan(lateness) else lateness
+        # People first, as the truth contains them.
         if self._crowd is not None:
             self._crowd.play(number)
         if not math.isnan(period["contact"]):
@@ -114,6 +115,7 @@ class ReplayLink(Link):
         """Start the next episode. Raises LinkLostError after the last episode."""
         self.open()
         recording = self._recording
+        # Another episode would need feedback that was never recorded.
         if recording is None or self._played >= len(recording.episodes):
             is_cut = recording is not None and recording.cut
             missing = "; the file is cut: its end is missing" if is_cut else ""

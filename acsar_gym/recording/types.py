@@ -179,6 +179,7 @@ def _split_revolutions(episode: Episode) -> Revolutions:
 
 def _after_reset(episode: Episode, values: Table) -> Table:
     """The rows of steps, but for a reset's."""
+    # A reset has an observation, but neither an action nor a reward.
     rows: Table = values[episode.tables["steps"]["step"] > 0]
     return rows
 
@@ -282,6 +283,7 @@ class Episode:
         self.start = head.start
         self.offset = head.offset
         self.info = head.info
+        # Without a step, no env was recorded.
         self.terminated, self.truncated, self.success = head.outcome or (False, False, None)
         # A field of the instance hides the descriptor that would make it.
         vars(self).update(fields)

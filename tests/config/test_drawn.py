@@ -27,15 +27,17 @@ def test_drawn_number_is_always_the_same_robot() -> None:
     assert len({hash_config(robot) for robot in FIRST}) == len(FIRST)
 
 
-@pytest.mark.parametrize("text", ["drawn:x", "drawn:1-", "drawn:5-3"])
-def test_drawn_names_that_are_malformed_are_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"^robot = 'drawn:.*: (must be like|holds no robot)"):
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("drawn:1-", "must be like"),
+        ("drawn:5-3", "holds no robot"),
+        ("drawn:train", ".* give one robot here, such as 'drawn:0'"),
+    ],
+)
+def test_drawn_name_that_is_no_robot_is_refused(text: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=f"^robot = '{text}': {reason}"):
         RobotConfig.of(text)
-
-
-def test_drawn_fleet_is_refused_as_one_robot() -> None:
-    with pytest.raises(ConfigError, match="give one robot here, such as 'drawn:0'"):
-        RobotConfig.of("drawn:train")
 
 
 def test_drawn_radii_are_exactly_those_of_the_classes() -> None:
@@ -81,14 +83,9 @@ def test_make_fleet_takes_a_robot_a_list_or_a_range(source: Any, names: list[str
     ("source", "said"),
     [
         ([], "a fleet of 0 robots: must have 1 to 10,000"),
-        (["acsar", ["jackal"]], "give one robot here"),
         (
             ["jackal", ACSAR.with_(control_rate=50.0)],
             "robot: jackal has control_rate = 100.0, number 1 50.0: must be the same",
-        ),
-        (
-            [ACSAR, ACSAR.with_(firmware={"loop_rate": 400.0})],
-            "number 0 has firmware.loop_rate = 200.0, number 1 400.0",
         ),
     ],
 )

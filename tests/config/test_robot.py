@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,10 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.protocol import Speeds
 
 
-def refusal(model: type[Any], values: Mapping[str, Any]) -> str:
+def refusal(make: Callable[..., Any], values: Mapping[str, Any]) -> str:
     """The message of the one ConfigError that these values raise."""
     with pytest.raises(ConfigError) as caught:
-        model(**values)
+        make(**values)
     message = str(caught.value)
     assert "\n" not in message
     return message
@@ -65,6 +65,9 @@ BAD: list[tuple[dict[str, Any], str]] = [
     ({"ros2": {"joints": ["r", "l", "r", "l"]}}, "ros2.joints = ['r', 'l', 'r', 'l']: must name"),
     ({"ros2": {"scan_topic": "/scan/"}}, "ros2.scan_topic = '/scan/': must be a topic, such as"),
     ({"port": "COM3"}, "unknown field 'port'; did you mean 'serial_port'?"),
+    ({"wheel_base": 0.3}, "unknown field 'wheel_base'; write wheel_separation for the distance"),
+    ({"wheel_diameter": 0.2}, "unknown field 'wheel_diameter'; write wheel_radius, half of it"),
+    ({"linear_limits": {"max_acceleration": 0.0}}, "linear_limits.max_acceleration = 0.0: must be"),
     ({"control_rate": 30}, "firmware.loop_rate = 200 Hz"),
     ({"firmware": {"feedback_rate": 2}}, "feedback_timeout = 0.5 s"),
     ({"measured": {"motor.tiem_constant": INTERVAL}}, "measured: unknown field 'motor.tiem_cons"),
@@ -76,10 +79,8 @@ BAD: list[tuple[dict[str, Any], str]] = [
 def test_config_bad_values_are_one_error_that_names_the_field(
     values: dict[str, Any], named: str
 ) -> None:
-    assert refusal(RobotConfig, values).startswith(named)
-    with pytest.raises(ConfigError) as caught:
-        RobotConfig().with_(**values)
-    assert str(caught.value).startswith(named)
+    for make in (RobotConfig, RobotConfig().with_):
+        assert refusal(make, values).startswith(named)
 
 
 @pytest.mark.parametrize("field", ["gain", "deadband"])
@@ -195,17 +196,8 @@ def test_wheels_board_and_driver_agree_with_any_wiring(wheels: dict[str, Any]) -
     assert driven(RobotConfig(wheels=wheels)) == driven(RobotConfig())
 
 
-def test_config_explains_names_of_other_programs() -> None:
-    message = refusal(RobotConfig, {"wheel_radius": 0.1, "wheel_base": 0.3})
-    assert "wheel_separation for the distance between left and right wheels" in message
-    assert "wheelbase for that between the axles" in message
-    assert "write wheel_radius, half of it" in refusal(RobotConfig, {"wheel_diameter": 0.2})
-
-
 @pytest.mark.parametrize("axis", ["linear_limits", "angular_limits"])
 def test_limits_what_ros_calls_no_limit_is_none(axis: str) -> None:
     unset = {"max_jerk": 0.0, "min_jerk": math.nan, "max_acceleration": math.nan}
     limits = getattr(RobotConfig(**{axis: unset}), axis)
     assert limits.model_dump(exclude_none=True) == {}
-    assert getattr(RobotConfig(**{axis: {"max_jerk": 0}}), axis).max_jerk is None
-    assert "must be greater than 0" in refusal(RobotConfig, {axis: {"max_acceleration": 0.0}})

@@ -50,7 +50,6 @@ CHANGES: dict[str, tuple[dict[str, Any], set[str]]] = {
     "a number in a section": ({"firmware": {"command_timeout": 0.8}}, set()),
     "another list": ({"footprint": [(0.3, 0.2), (-0.3, 0.2), (0.0, -0.2)]}, {"nose"}),
     "new fields": ({"max_linear": 0.7, "odom_frame": "no", "body": {"mass": 5.0}}, set()),
-    "a wiring": ({"wheels": {"a": {"motor": "b"}, "b": {"motor": "a"}}}, set()),
     "nothing instead of a number": ({"firmware": {"command_timeout": None}}, set()),
     "a default": ({"wheel_check": True, "name": ""}, set()),
     "an interval less": ({"measured": {"wheel_radius": INTERVAL}}, {"by hand"}),
@@ -146,7 +145,6 @@ def test_save_and_load_any_value(
 STRANGERS = {
     "notes": "buy: milk\nand: bread\n",
     "a field twice": "wheel_radius: 0.06\nwheel_radius: 0.07\n",
-    "of ROS": "base:\n  ros__parameters: {wheel_radius: 0.1}\n",
     "with a mistake": "wheel_radius: 0.06\nwheel_seperation: 0.3\n",
 }
 
@@ -177,20 +175,13 @@ def test_save_writes_a_remark_once_and_removes_it_when_it_is_outdated(tmp_path: 
     assert path.read_text().startswith("# mine\nwheel_radius: 0.06   # tape\n")
 
 
-def test_load_sets_fields_and_sections_and_leaves_the_rest(tmp_path: Path) -> None:
-    path = tmp_path / "robot.yml"
-    path.write_text("wheel_radius: 0.07\nodom_frame: süd\nmotor:\n  max_speed: 20\n", "utf-8")
-    expected = RobotConfig(wheel_radius=0.07, odom_frame="süd").with_(motor={"max_speed": 20})
-    assert RobotConfig.load(path) == RobotConfig.load(str(path)) == expected
-
-
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("- wheel_radius", "must be a mapping"),
         ("odom_frame: \x00", "not valid YAML"),
         ("body: {mass: 0}", "body.mass"),
-        ("wheel_radius: 2020-13-45", ""),
+        ("wheel_radius: 2020-13-45", "not valid YAML"),
     ],
 )
 def test_load_names_a_bad_file_in_one_line(text: str, expected: str, tmp_path: Path) -> None:
@@ -198,22 +189,18 @@ def test_load_names_a_bad_file_in_one_line(text: str, expected: str, tmp_path: P
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
         RobotConfig.load(path)
-    assert str(path) in str(caught.value)
-    assert expected in str(caught.value)
-    assert "\n" not in str(caught.value)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert expected in message
+    assert "\n" not in message
 
 
 FIT = {"low": 0.1, "high": 0.125, "method": "identify", "logs": ["0123456789012345"] * 2}
 ROBOTS: dict[str, dict[str, Any]] = {
-    "defaults": {},
     "single wheels": {"motor": {"time_constant": [0.1, 0.11, 0.12, 0.13], "gain": 1.01}},
-    "nothing instead of a number": {
-        "watchdog_timeout": None,
+    "no limit but a fence": {
         "linear_limits": {"max_acceleration": None},
-    },
-    "a fence and a footprint": {
         "geofence": {"max_x": 2.0},
-        "footprint": [(0.2, 0.2), (-0.2, 0.2), (-0.2, -0.2), (0.2, -0.2)],
     },
     "a wiring": {"wheels": {"a": {"motor_sign": -1, "sign": -1}, "b": {"sign": -1}}},
     "measured": {"measured": {"motor.time_constant.a": FIT, "firmware.command_delay": FIT}},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 import threading
@@ -71,24 +72,23 @@ def test_recorder_prepares_its_messages_before_wheels_turn(
     assert set(store.cache) == prepared
 
 
-def test_recorder_counts_a_gap_at_which_a_replay_ends(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
-    recorder = Recorder(path, capacity=20)  # a simulation waits for the writer, and drops nothing
-    add = recorder.add
+def test_recorder_counts_a_gap_at_which_a_replay_ends(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    add = Recorder.add
 
-    def forget(rows: Any) -> None:
+    def forget(recorder: Recorder, rows: Any) -> None:
         if "exchanges" not in rows or rows["exchanges"][0] != 33:
-            add(rows)
+            add(recorder, rows)
 
-    recorder.add = forget  # type: ignore[method-assign]
-    with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:
-        for _ in range(100):
-            robot.drive(0.1, 0.0)
+    monkeypatch.setattr(Recorder, "add", forget)
+    # A simulation waits for the writer, and drops nothing else.
+    path = drive(tmp_path / "tape.mcap", CONFIG, capacity=20)
     assert read(path).dropped == 1
     replay = Robot(open_link(f"replay:{path}"), CONFIG)
     with pytest.raises(LinkLostError, match="gap, tick 30"), replay:
-        for _ in range(100):
-            replay.drive(0.1, 0.0)
+        for tick in range(100):
+            replay.drive(0.3, math.sin(tick / 20.0))
 
 
 CRASH = """
@@ -172,11 +172,12 @@ def test_recorder_that_cannot_begin_closes_the_link() -> None:
 
 def test_recorder_refuses_the_file_that_is_replayed(tmp_path: Path) -> None:
     path = drive(tmp_path / "tape.mcap", CONFIG, 5)
-    (tmp_path / "same.mcap").symlink_to(path)
+    same = tmp_path / "same.mcap"
+    same.symlink_to(path)
     content = path.read_bytes()
-    for link in (open_link(f"replay:{path}"), FaultyLink(open_link(f"replay:{path}"), Faults())):
-        with pytest.raises(ConfigError, match=r"same.mcap: is being replayed"):
-            Robot(link, CONFIG, recorder=Recorder(tmp_path / "same.mcap")).activate()
+    link = FaultyLink(open_link(f"replay:{path}"), Faults())
+    with pytest.raises(ConfigError, match=r"same.mcap: is being replayed"):
+        Robot(link, CONFIG, recorder=Recorder(same)).activate()
     assert path.read_bytes() == content
 
 
@@ -186,9 +187,8 @@ def test_recorder_keeps_older_files(tmp_path: Path) -> None:
     path.touch()  # an empty file is replaced
     for ticks in (5, 7, 9):
         drive(path, CONFIG, ticks)
-    files = [path, tmp_path / "tape.1.mcap", tmp_path / "tape.2.mcap"]
-    assert sorted(tmp_path.iterdir()) == sorted(files)
-    assert [len(read(file).episodes[0].stamps) for file in files] == [9, 5, 7]
+    kept = {file.name: len(read(file).episodes[0].stamps) for file in tmp_path.iterdir()}
+    assert kept == {"tape.1.mcap": 5, "tape.2.mcap": 7, "tape.mcap": 9}
     path.write_text("base: acsar\n")
     with pytest.raises(ConfigError, match=r"tape.mcap: isn't a recording"):
         drive(path, CONFIG, 5)
@@ -208,17 +208,14 @@ def test_recorder_shares_no_file_and_ends_once(tmp_path: Path) -> None:
 
 def test_recorder_of_an_env_keeps_what_the_policy_saw_and_did(tmp_path: Path) -> None:
     path = tmp_path / "tape.mcap"
-    env = gymnasium.make(
-        "acsar_gym/ObstacleGoal-v1", link="planar", record=str(path), worlds="clutter:5"
-    )
+    env_id = "acsar_gym/ObstacleGoal-v1"
+    env = gymnasium.make(env_id, link="planar", record=str(path), worlds="clutter:5")
     observations = [env.reset(seed=7)[0]]
     actions = []
     goal = env.unwrapped.episode.assignment.goal  # type: ignore[attr-defined]
     for _ in range(5):
         actions.append(env.action_space.sample())
         observations.append(env.step(actions[-1])[0])
-    assert env.spec is not None
-    assert env.spec.to_json()
     env.close()
 
     recording = read(path)
@@ -229,7 +226,5 @@ def test_recorder_of_an_env_keeps_what_the_policy_saw_and_did(tmp_path: Path) ->
     assert episode.scans.ranges.shape == (6, 64)
     assert (episode.info["seed"], episode.info["goal"]) == (7, list(goal))
     about = recording.header["about"]
-    assert about["env"]["id"] == "acsar_gym/ObstacleGoal-v1"
-    assert about["env"]["kwargs"]["worlds"] == "clutter:5"
+    assert (about["env"]["id"], about["env"]["kwargs"]["worlds"]) == (env_id, "clutter:5")
     assert len(about["observation"]) + len(MAP_NAMES) + 64 == len(observations[0])
-    assert len(recording.sha256) == 16
