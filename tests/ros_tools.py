@@ -103,15 +103,6 @@ class ForeignRobot(Program):
         """Whether its wheels stand still now."""
         return all(abs(speed) < slowest for speed in self.states[-1]["speeds"])
 
-    def stood_at(self, slowest: float = 0.05) -> float:
-        """Monotonic time since which its wheels stand still [s]. Infinite if they turn."""
-        since = float("inf")
-        for state in reversed(self.states):
-            if any(abs(speed) >= slowest for speed in state["speeds"]):
-                break
-            since = float(state["monotonic"])
-        return since
-
 
 StartProgram = Callable[..., Program]
 StartRobot = Callable[..., ForeignRobot]

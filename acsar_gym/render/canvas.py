@@ -164,13 +164,11 @@ class Canvas:
         for box in np.hstack([pixels - size, pixels + size]).tolist():
             self.pen.ellipse(box, fill=fill, outline=edge, width=round(FINE_SCALE * width))
 
-    def scale_bar(self, row: float, share: float, inset: float, *, right: bool = False) -> float:
-        """Draw a scale bar of at most a share of the width. Returns its length [pixels]."""
-        width = self.view.size[0]
-        metres = round_length(share * width / self.view.scale)
+    def scale_bar(self, row: float, share: float, inset: float) -> None:
+        """Draw a scale bar of at most a share of the width, `inset` pixels from the left."""
+        metres = round_length(share * self.view.size[0] / self.view.scale)
         length = metres * self.view.scale
-        column = width - inset - length if right else inset
-        start, end, low = (FINE_SCALE * pixel for pixel in (column, column + length, row))
+        start, end, low = (FINE_SCALE * pixel for pixel in (inset, inset + length, row))
 
         # A box behind the bar and its text.
         pad = FINE_SCALE * TEXT_PADDING
@@ -179,8 +177,7 @@ class Canvas:
         tick = low - FINE_SCALE * 4.0
         self.pen.line((start, tick, start, low, end, low, end, tick), INK_COLOUR, FINE_SCALE)
         label = f"{metres:g} m" if metres >= 1.0 else f"{100.0 * metres:g} cm"
-        self.text((column + length / 2.0, row - 4.0), label, anchor="ms")
-        return length
+        self.text((inset + length / 2.0, row - 4.0), label, anchor="ms")
 
     def text(
         self,

@@ -35,6 +35,8 @@ WATCHDOG_SUFFIX = "_watchdog"
 """End of the name of a watchdog's node, which publishes nothing but zeros."""
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
 """Name of a node that ROS has just discovered, such as our watchdog's."""
+SPIN_PERIOD = 0.1
+"""How soon threads notice that they must end [s]."""
 CLOCK_GAP = 1e7
 """Wall-clock time and simulated time differ by more than this [s]: four months."""
 TRANSPORTS = ("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
@@ -176,8 +178,11 @@ class RosNode:
             with contextlib.suppress(Exception):
                 self._context.try_shutdown()
             raise RosSetupError(name, namespace, error) from error
-        # Each node has its own executor, so that several links can spin in one process.
+        self._threads: list[threading.Thread] = []
+        self._running = True
+        self._failure: Exception | None = None
         self.declare(parameters or {})
+        # Each node has its own executor, so that several links can spin in one process.
         self._executor = ros.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
@@ -349,8 +354,31 @@ class RosNode:
             self.spin(0.02)
         return True
 
+    def start_threads(self, *loops: Callable[[], None]) -> None:
+        """Repeat each function in a thread of its own until the node is closed."""
+        for loop in loops:
+            thread = threading.Thread(target=self._repeat, args=(loop,), daemon=True)
+            self._threads.append(thread)
+            thread.start()
+
+    def _repeat(self, loop: Callable[[], None]) -> None:
+        try:
+            while self._running:
+                loop()
+        except Exception as error:  # noqa: BLE001 - any error is for the main thread
+            self._failure = error
+
+    def check(self) -> None:
+        """Raise RosSetupError if a thread has failed."""
+        if self._failure is not None:
+            raise RosSetupError(self.name, self.namespace, self._failure) from self._failure
+
     def close(self) -> None:
-        """End node and context. Idempotent."""
+        """End threads, node and context. Idempotent."""
+        # A thread that hangs in rclpy isn't waited for.
+        self._running = False
+        for thread in self._threads:
+            thread.join(2.0 * SPIN_PERIOD)
         with contextlib.suppress(Exception):
             self._executor.shutdown(timeout_sec=0.0)
         with contextlib.suppress(Exception):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
-import math
 import pickle
 import sys
 from typing import Any
@@ -20,20 +18,6 @@ POINT_GOAL = "acsar_gym/PointGoal-v0"
 OBSTACLE_GOAL = "acsar_gym/ObstacleGoal-v1"
 AHEAD = np.array([1.0, 0.0], np.float32)
 ARC = np.array([0.5, 0.1], np.float32)
-
-
-def hash_episode(env: gymnasium.Env[Any, Any], seed: int) -> str:
-    digest = hashlib.sha256(env.reset(seed=seed)[0].tobytes())
-    for k in range(60):
-        digest.update(env.step(np.array([0.5, math.sin(k)], np.float32))[0].tobytes())
-    return digest.hexdigest()
-
-
-def test_episode_leaves_no_trace_in_the_next(link: str, make: Any) -> None:
-    env = make(link=link)
-    first = hash_episode(env, 3)
-    hash_episode(env, 4)
-    assert hash_episode(env, 3) == first
 
 
 def test_step_to_the_goal_ends_in_success(link: str, make: Any) -> None:

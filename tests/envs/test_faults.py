@@ -43,15 +43,6 @@ def test_on_fault_raise(make: Any) -> None:
             env.step(TURN)
 
 
-def test_faults_of_lines_end_no_episode(make: Any) -> None:
-    env = make(faults={"dropped_lines": 0.1, "late_lines": 0.1})
-    _, info = env.reset(seed=0)
-    for _ in range(20):
-        assert info["fault"] == 0.0
-        *_, truncated, info = env.step(TURN)
-        assert not truncated
-
-
 class FailingLidar:
     """A LiDAR that falls silent after some scans, all of which are of time 0."""
 

@@ -51,15 +51,12 @@ def test_manual_is_the_class(env_id: str, make: Any) -> None:
         assert f"| `{name}` | {weight:g} |" in manuals
 
 
-@pytest.mark.parametrize(
-    ("name", "env_id"),
-    [
-        ("dyna_barn", "acsar_gym/DynaBarn-v0"),
-        ("mine/Task-v0", "mine/Task-v0"),
-    ],
-)
-def test_full_id_is_the_newest_version(name: str, env_id: str) -> None:
-    assert full_id(name) == env_id
+def test_full_id_is_the_newest_version() -> None:
+    assert [*map(full_id, ("barn", "dyna_barn", "mine/Task-v0"))] == [
+        "acsar_gym/Barn-v1",
+        "acsar_gym/DynaBarn-v0",
+        "mine/Task-v0",
+    ]
 
 
 ROLLOUT = """
@@ -105,9 +102,7 @@ def test_info_has_the_same_floats_at_every_step(env_id: str, make: Any) -> None:
 @pytest.mark.parametrize(
     ("env_id", "options", "message"),
     [
-        (POINT_GOAL, {"link": "bulet"}, "'bullet'"),
         (POINT_GOAL, {"robot": ["acsar", "husky"]}, "a fleet is for a batch of robots"),
-        (POINT_GOAL, {"policy_rate": 30.0}, "policy_rate"),
         (POINT_GOAL, {"render_mode": "rgb_array", "view": "camera"}, "bullet"),
         (POINT_GOAL, {"randomization": True, "link": "replay:tape.mcap"}, "simulated"),
         (OBSTACLE_GOAL, {"link": "/dev/ttyUSB0"}, "like rplidar:///dev/ttyUSB1"),

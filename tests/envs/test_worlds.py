@@ -13,6 +13,7 @@ from gymnasium.envs.registration import EnvSpec
 from mover_tools import HALL
 
 from acsar_gym import World
+from acsar_gym.envs.ids import make_vec
 from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.tasks.state import CrowdInfo
@@ -21,7 +22,6 @@ from acsar_gym.worlds.world import to_world
 
 POINT_GOAL = "acsar_gym/PointGoal-v0"
 OBSTACLE_GOAL = "acsar_gym/ObstacleGoal-v1"
-BARN = Path(__file__).parents[3] / "shared" / "barn"
 PATH_FOLLOW = "acsar_gym/PathFollow-v0"
 
 
@@ -35,15 +35,6 @@ def test_reset_options_choose_world_goal_and_path(make: Any) -> None:
     env = make(PATH_FOLLOW)
     _, info = env.reset(options={"path": [(0.0, 0.1), (1.0, 0.1)]})
     assert info["cross_track_error"] == pytest.approx(-0.1)
-    with pytest.raises(ConfigError, match="did you mean 'path'"):
-        env.reset(options={"paths": 1})
-
-
-@pytest.mark.skipif(not BARN.is_dir(), reason="no published worlds here")
-def test_worlds_may_be_a_folder_of_published_worlds(make: Any) -> None:
-    pool = make("acsar_gym/Barn-v1", worlds=BARN).unwrapped.pool
-    lengths = sorted(world.length for world in pool)
-    assert lengths == pytest.approx([10.029, 10.738, 10.758, 12.312, 13.446], abs=0.01)
 
 
 HALL_SDF = """<sdf version='1.9'><world name='w'><model name='m'><pose>3 0 0.4 0 0 0</pose>
@@ -82,7 +73,7 @@ def test_worlds_of_an_id_are_the_training_split(
 
     world = pool[1000]  # for all numbers: 400 worlds that move take a minute
     monkeypatch.setattr(cache, "cached_world", lambda *_: world)
-    batch: Any = gymnasium.make_vec(env_id, 1, vectorization_mode="vector_entry_point")
+    batch: Any = make_vec(env_id, 1)
     assert batch.unwrapped.pool.numbers == range(1000, 1400)
     batch.close()
 

@@ -24,17 +24,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import psutil
 from nursery import Program, first_line, nursery, program
-from rich.console import Console
 from ros_tools import FOREIGN_ROBOT
 from serial_tools import HEEDING_CTRL_C, start
-from stopping import FAULT_JITTER, LIMIT, MAX_STARTS, add_row, find_stop, list_commands, make_table
+from stopping import FAULT_JITTER, LIMIT, MAX_STARTS, Stops, find_stop, list_commands, report
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError
@@ -164,21 +162,6 @@ KINDS = (
 )
 
 
-@dataclass
-class Times:
-    """Times from the faults of a kind to zero commands [s]. They are inf if there was none."""
-
-    kind: Kind
-    zeros: list[float] = field(default_factory=list)
-    problems: list[str] = field(default_factory=list)
-    """What else went wrong."""
-
-    @property
-    def sound(self) -> bool:
-        """Whether all trials were within the limit, and nothing else went wrong."""
-        return not self.problems and all(time <= self.kind.limit for time in self.zeros)
-
-
 class Processes(contextlib.ExitStack):
     """The processes of a trial. They end with the block."""
 
@@ -220,9 +203,12 @@ def read_commands(log: Path) -> Iterator[tuple[float, bool]]:
             yield event["monotonic"], any(event["command"])
 
 
-def run_trial(times: Times, folder: Path) -> None:
-    """Start processes, cause a fault in one of them, and measure when the robot stops."""
-    kind = times.kind
+def run_trial(kind: Kind, folder: Path) -> float:
+    """Cause a fault in one of several new processes, and return when the robot stopped [s].
+
+    Raises:
+        LinkError: A process ended before the fault, or the robot was at rest.
+    """
     with Processes(folder) as processes:
         node, file, commands = processes.run_robot(kind.robot)
         own_fault = kind.fault if kind.fault in OWN_FAULTS else ""
@@ -235,10 +221,10 @@ def run_trial(times: Times, folder: Path) -> None:
             commander = processes.run(DRIVING, str(file), own_fault, str(random.randrange(40, 60)))
 
         if own_fault:
-            begun = first_line(commander)
-            if not begun:
+            start_time = first_line(commander)
+            if not start_time:
                 raise LinkError(commander.communicate()[1])
-            fault = float(begun)
+            fault = float(start_time)
         else:
             wait_for_driving(commands, node, commander)
             time.sleep(random.uniform(0.0, FAULT_JITTER))
@@ -246,8 +232,7 @@ def run_trial(times: Times, folder: Path) -> None:
             fault = time.monotonic()
             victim.send_signal(SIGNALS[kind.fault])
         if kind.victim == "robot":
-            times.zeros.append(measure_end(commander, fault))
-            return
+            return measure_end(commander, fault)
 
         zero = math.inf
         while not zero < time.monotonic() - QUIET_TIME and time.monotonic() < fault + STOP_TIMEOUT:
@@ -255,7 +240,7 @@ def run_trial(times: Times, folder: Path) -> None:
             zero = find_stop(commands(), fault)
         if zero < fault:
             raise LinkError("the robot was at rest before the fault")
-        times.zeros.append(zero - fault)
+        return zero - fault
 
 
 def wait_for_driving(commands: Commands, *programs: Program) -> None:
@@ -280,32 +265,28 @@ def measure_end(driving: Program, fault: float) -> float:
     return reported if code == 3 and len(lines) == 1 and "joint_states" in lines[0] else math.inf
 
 
-def measure(trials: int, kinds: Sequence[Kind] = KINDS) -> Iterator[Times]:
-    """Run trials of each kind."""
+def measure(trials: int, kinds: Sequence[Kind] = KINDS) -> Iterator[Stops]:
+    """Run trials of each kind.
+
+    Raises:
+        LinkError: Watchdogs of a kind go on after it.
+    """
     os.environ[MARK] = str(os.getpid())
     with tempfile.TemporaryDirectory(prefix="acsar-ros-stopping-") as folder, nursery(*PRELOADED):
         for kind in kinds:
-            times = Times(kind)
-            for _ in range(trials):
-                repeat_trial(times, Path(folder))
-            try:
-                wait_until(lambda: not list_watchdogs(), "watchdogs that end", STOP_TIMEOUT)
-            except LinkError:
-                times.problems.append(f"processes that go on: {list_watchdogs()}")
-            yield times
+            times = [repeat_trial(kind, Path(folder)) for _ in range(trials)]
+            wait_until(lambda: not list_watchdogs(), "watchdogs that end", STOP_TIMEOUT)
+            yield Stops(", ".join(kind), times, kind.limit)
 
 
-def repeat_trial(times: Times, folder: Path) -> None:
-    """Run a trial, again if a busy computer didn't drive the robot."""
+def repeat_trial(kind: Kind, folder: Path) -> float:
+    """Run a trial, again if a busy computer didn't drive the robot. Return inf if it never did."""
     for _ in range(MAX_STARTS):
         try:
-            run_trial(times, folder)
+            return run_trial(kind, folder)
         except LinkError as error:
-            problem = str(error)
-        else:
-            return
-    times.zeros.append(math.inf)
-    times.problems.append(f"not driven: {problem}")
+            print(*kind, f"not driven: {error}", file=sys.stderr)
+    return math.inf
 
 
 def list_watchdogs() -> list[str]:
@@ -343,21 +324,12 @@ def count_interrupts(trials: int) -> int:
 
 
 def main() -> int:
-    """Print a table. The exit code is 0 if every robot stopped in time."""
+    """Measure, and report the times."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=20, help="of each kind of fault")
     parser.add_argument("--only", default="", help="kinds with this in their names")
     options = parser.parse_args()
-    kinds = [kind for kind in KINDS if options.only in " ".join(kind)]
-
-    table = make_table()
-    measured = []
-    for times in measure(options.trials, kinds):
-        add_row(table, ", ".join(times.kind), times.zeros, times.kind.limit)
-        print(*times.problems, sep="\n", file=sys.stderr)
-        measured.append(times)
-    Console().print(table)
-    return int(not all(times.sound for times in measured))
+    return report(measure(options.trials, [k for k in KINDS if options.only in " ".join(k)]))
 
 
 if __name__ == "__main__":

@@ -14,21 +14,17 @@ import json
 import os
 import signal
 import statistics
-import subprocess
 import sys
 import tempfile
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import psutil
-import rclpy
 from geometry_msgs.msg import TwistStamped
-from rclpy.executors import SingleThreadedExecutor
 from rich.console import Console
 from rich.table import Table
-from ros_tools import BEST_EFFORT
+from ros_tools import BEST_EFFORT, Program, client
 from sensor_msgs.msg import JointState
 
 from acsar_gym.config import RobotConfig
@@ -62,77 +58,52 @@ class Figure(NamedTuple):
 MILLISECONDS = "{:.2f} ms"
 
 
-class Arrivals:
-    """A node that notes when joint states and commands arrive [ns]."""
-
-    def __init__(self) -> None:
-        rclpy.init()
-        self.executor = SingleThreadedExecutor()
-        node = rclpy.create_node("arrivals")
-        self.executor.add_node(node)
-        self.states: list[int] = []
-        self.commands: list[int] = []
-        for message, topic, times in (
-            (JointState, "joint_states", self.states),
-            (TwistStamped, "cmd_vel", self.commands),
-        ):
-            note = partial(note_arrival, times)
-            node.create_subscription(message, topic, note, BEST_EFFORT)
-
-    def spin(self, seconds: float) -> None:
-        """Take messages for some time."""
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=max(end - time.monotonic(), 0.0))
-
-    def close(self) -> None:
-        """End the node."""
-        self.executor.shutdown()
-        rclpy.shutdown()
-
-
 def note_arrival(times: list[int], _: Any, info: Any) -> None:
-    """Note when a message arrived."""
+    """Note when the middleware got a message [ns]."""
     times.append(info["received_timestamp"])
 
 
 def measure(seconds: float) -> list[Figure]:
     """Drive for some time, and return the figures."""
     config = RobotConfig.preset("acsar").with_(connect_timeout=TIMEOUT)
+    states: list[int] = []
+    commands: list[int] = []
     with contextlib.ExitStack() as stack:
-        folder = stack.enter_context(tempfile.TemporaryDirectory())
-        file = Path(folder, "robot.yaml")
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        file = folder / "robot.yaml"
         config.save(file)
         board = stack.enter_context(emulated_board(config, lidar=True))
-        options = ["--link", board.device, "--lidar", f"rplidar://{board.lidar_device}"]
-        options += ["--robot", str(file)]
-        driver = subprocess.Popen([sys.executable, "-m", "acsar_gym", "ros", "driver", *options])
-        stack.callback(driver.wait)
-        stack.callback(driver.send_signal, signal.SIGINT)
-        command = [sys.executable, "-c", DRIVING, str(file), str(seconds + SETTLED + 1.0)]
-        program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        stack.callback(program.kill)
-        arrivals = stack.enter_context(contextlib.closing(Arrivals()))
-
-        while len(arrivals.commands) < 10:
-            assert driver.poll() is None, "the driver has ended"
-            assert program.poll() is None, "the program has ended"
-            arrivals.spin(0.1)
-        arrivals.spin(SETTLED)
-        arrivals.states.clear()
-        arrivals.commands.clear()
-        processes: list[Any] = [driver, program]
-        cpu = [read_cpu(process) for process in processes]
-        arrivals.spin(seconds)
-        driver_cpu, program_cpu = (
-            (read_cpu(process) - start) / seconds
-            for process, start in zip(processes, cpu, strict=True)
+        options = ("--link", board.device, "--lidar", f"rplidar://{board.lidar_device}")
+        driver = Program(
+            ("-m", "acsar_gym", "ros", "driver", *options, "--robot", str(file)), folder
         )
-        late, ticks, p99, worst = json.loads(program.communicate(timeout=TIMEOUT)[0])
+        stack.callback(driver.end, signal.SIGINT)
+        program = Program(("-c", DRIVING, str(file), str(seconds + SETTLED + 1.0)), folder)
+        stack.callback(program.kill)
+
+        listener = stack.enter_context(client("/", [driver, program]))
+        for kind, topic, times in (
+            (JointState, "joint_states", states),
+            (TwistStamped, "cmd_vel", commands),
+        ):
+            note = partial(note_arrival, times)
+            listener.node.create_subscription(kind, topic, note, BEST_EFFORT)
+        listener.wait(lambda: len(commands) >= 10, "commands", 10.0 * TIMEOUT)
+        listener.spin(SETTLED)
+        states.clear()
+        commands.clear()
+        start_cpu = [read_cpu(process) for process in (driver, program)]
+        listener.spin(seconds)
+        cpu = [read_cpu(process) for process in (driver, program)]
+        program.wait()
+        late, ticks, p99, worst = json.loads(program.printed.splitlines()[-1])
+    driver_cpu, program_cpu = (
+        (end - start) / seconds for start, end in zip(start_cpu, cpu, strict=True)
+    )
 
     # The time from each joint state to the next command [ms].
-    commands = sorted(arrivals.commands)
-    places = ((state, bisect.bisect(commands, state)) for state in arrivals.states)
+    commands.sort()
+    places = ((state, bisect.bisect(commands, state)) for state in states)
     waits = [(commands[place] - state) / 1e6 for state, place in places if place < len(commands)]
     return [
         Figure("CPU of the driver", driver_cpu, limit=0.25),
@@ -142,14 +113,14 @@ def measure(seconds: float) -> list[Figure]:
         Figure("lateness of the program, worst", worst * 1e3, MILLISECONDS),
         Figure("joint states to command, median", statistics.median(waits), MILLISECONDS, 2.0),
         Figure("joint states to command, worst", max(waits), MILLISECONDS),
-        Figure("/joint_states", len(arrivals.states) / seconds, "{:.1f} Hz"),
+        Figure("/joint_states", len(states) / seconds, "{:.1f} Hz"),
         Figure("/cmd_vel", len(commands) / seconds, "{:.1f} Hz"),
     ]
 
 
-def read_cpu(process: subprocess.Popen[Any]) -> float:
+def read_cpu(program: Program) -> float:
     """Return the CPU time that a process has used [s]."""
-    times = psutil.Process(process.pid).cpu_times()
+    times = psutil.Process(program.process.pid).cpu_times()
     return float(times.user + times.system)
 
 

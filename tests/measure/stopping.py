@@ -115,11 +115,12 @@ class Stops(NamedTuple):
 
     kind: str
     times: list[float]
+    limit: float = LIMIT
 
     @property
     def is_sound(self) -> bool:
         """Whether all trials were within the limit."""
-        return max(self.times) <= LIMIT
+        return max(self.times) <= self.limit
 
 
 def list_commands(board: EmulatedBoard) -> Iterator[tuple[float, bool]]:
@@ -250,36 +251,32 @@ def _wait_for_stop(board: EmulatedBoard, fault: float) -> float:
     return zero
 
 
-def add_row(table: Table, name: str, times: Sequence[float], limit: float) -> None:
-    """Add times to a table and print them, because trials take long."""
-    cells = [f"{figure(times) * 1000.0:.1f}" for figure in (min, median, max)]
-    in_time = sum(duration <= limit for duration in times)
-    cells.append(f"{in_time} of {len(times)} within {limit * 1000.0:.0f}")
-    table.add_row(name, *cells)
-    print(name, *cells, sep="  ", file=sys.stderr, flush=True)
-
-
-def make_table() -> Table:
-    """Make an empty table for `add_row`."""
+def report(measured: Iterable[Stops]) -> int:
+    """Print a table. Return the exit code, 0 if every zero command came in time."""
     columns = ("fault", "min", "median", "max", "in time")
-    return Table(*columns, title="milliseconds from fault to zero command")
+    table = Table(*columns, title="milliseconds from fault to zero command")
+    is_sound = True
+    for stops in measured:
+        cells = [f"{figure(stops.times) * 1000.0:.1f}" for figure in (min, median, max)]
+        in_time = sum(duration <= stops.limit for duration in stops.times)
+        cells.append(f"{in_time} of {len(stops.times)} within {stops.limit * 1000.0:.0f}")
+        table.add_row(stops.kind, *cells)
+        # Trials take long, so each row is printed at once.
+        print(stops.kind, *cells, sep="  ", file=sys.stderr, flush=True)
+        is_sound &= stops.is_sound
+    Console().print(table)
+    return int(not is_sound)
 
 
 def main() -> int:
-    """Print a table. The exit code is 0 if every zero command came in time."""
+    """Measure, and report the times."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=20, help="of each kind of fault")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS), metavar="KIND")
     parser.add_argument("--board", help="command that emulates the board; see `measure`")
     options = parser.parse_args()
-
-    table = make_table()
-    measured = []
-    for stops in measure(options.trials, options.kinds, board=options.board):
-        add_row(table, KINDS[stops.kind], stops.times, LIMIT)
-        measured.append(stops)
-    Console().print(table)
-    return int(not all(stops.is_sound for stops in measured))
+    measured = measure(options.trials, options.kinds, board=options.board)
+    return report(stops._replace(kind=KINDS[stops.kind]) for stops in measured)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ pytest.importorskip("rclpy")
 import ros_tools
 from ros_tools import Client, ForeignRobot, Program, StartProgram, StartRobot
 
+from acsar_gym import RobotConfig
+
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 FIRST_DOMAIN = int(os.environ.get("ROS_DOMAIN_ID", "0")) + 50 * WORKER
 DOMAINS = itertools.cycle(range(1, 102))
@@ -83,3 +85,18 @@ def start_robot(
         return robot
 
     return start
+
+
+@pytest.fixture
+def foreign_config() -> RobotConfig:
+    """What is known of foreign_robot.py, with the patience that a busy machine needs."""
+    return RobotConfig.preset("acsar").with_(
+        wheel_radius=0.05,
+        wheel_separation=0.3,
+        wheel_separation_multiplier=1.0,
+        control_rate=50.0,
+        connect_timeout=20.0,
+        feedback_timeout=5.0,
+        watchdog_timeout=2.0,
+        ros2={"joints": ["right_front", "left_front", "left_rear", "right_rear"]},
+    )

@@ -67,13 +67,12 @@ DEFAULTS: dict[str, Any] = {
     "multiplier": 1.0,  # the controller's, of the separation
     "true_multiplier": 0.0,  # the world's. 0: that of the controller
     "rate": 50.0,  # of joint_states and odom [Hz]
-    "wrap": 0.0,  # span of the positions [rad]. There are no velocities then
     "odom_only": False,  # no joint_states
     "qos": "reliable",  # of the sensors, or best_effort
     "frame": "base_link",
     "scan_yaw": None,  # how the LiDAR is turned [rad]. None: no LiDAR
     "mast": False,  # another frame between base and LiDAR, which is turned as well
-    "static": "global",  # /tf_static, or "namespaced", or "none"
+    "static": "/tf_static",  # the topic of the LiDAR's transform
     "sim_time": 0.0,  # publishes /clock, as a multiple of real time
     # Times of faults [s], from the first command that moves the robot. 0: at once.
     "clock_jump_after": None,
@@ -193,10 +192,8 @@ class ForeignRobot:
         self.periods[self.publish_state] = 1.0 / config.rate
         if config.scan_yaw is not None:
             self.scan = node.create_publisher(LaserScan, "scan", sensors)
-            static = "/tf_static" if config.static == "global" else "tf_static"
-            self.tf_static = node.create_publisher(TFMessage, static, latched)
-            if config.static != "none":
-                self.tf_static.publish(TFMessage(transforms=self.mount()))
+            self.tf_static = node.create_publisher(TFMessage, config.static, latched)
+            self.tf_static.publish(TFMessage(transforms=self.mount()))
             self.periods[self.publish_scan] = 0.1
         qos = {"reliable": 10, "best_effort": best_effort, "transient_local": latched}
         node.create_subscription(
@@ -290,10 +287,7 @@ class ForeignRobot:
             if name == config.missing_joint and self.begun(config.missing_after, now):
                 continue
             states.name.append(name)
-            if config.wrap:
-                position = (position + config.wrap / 2.0) % config.wrap - config.wrap / 2.0
-            else:
-                states.velocity.append(velocity)
+            states.velocity.append(velocity)
             states.position.append(position)
         self.joint_states.publish(states)
 

@@ -26,15 +26,6 @@ from acsar_gym.testing import TIMEOUT
 Place = tuple[float, float]
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 PATIENT = {"connect_timeout": 60.0, "feedback_timeout": 5.0, "watchdog_timeout": 5.0}
-FOREIGN = {
-    "wheel_radius": 0.05,
-    "wheel_separation": 0.3,
-    "wheel_separation_multiplier": 1.0,
-    "control_rate": 50.0,
-    "max_linear": 0.8,
-    "ros2": {"joints": ["right_front", "left_front", "left_rear", "right_rear"]},
-}
-
 pytestmark = pytest.mark.usefixtures("deadline")
 
 
@@ -174,11 +165,12 @@ def test_policy_follows_a_goal_in_the_map(
     start_policy: StartPolicy,
     client: Client,
     namespace: str,
+    foreign_config: RobotConfig,
     tmp_path: Path,
 ) -> None:
     """The map is turned by a quarter, and moved, against the odometry. It is corrected later."""
     foreign = start_robot()
-    RobotConfig.preset("acsar").with_(**FOREIGN | PATIENT).save(tmp_path / "foreign.yaml")
+    foreign_config.with_(max_linear=0.8).save(tmp_path / "foreign.yaml")
     moved = TransformStamped(child_frame_id="odom")
     moved.header.frame_id = "map"
     moved.transform.translation.x = 4.0
@@ -263,7 +255,7 @@ def test_evaluate_puts_a_simulated_robot_into_the_scenes(
     over_ros = ("ros2", "--ros-args", "-r", f"__ns:={namespace}")
     for link in (over_ros, ("planar",)):
         out = tmp_path / f"{link[0]}.json"
-        options = ("--episodes", 2, "--robot", robot_file, "--json", out)
+        options = ("--episodes", 2, "--late-share", 1, "--robot", robot_file, "--json", out)
         worlds = ("--worlds", "open:test")
         command = ("evaluate", "--policy", "obstacle_goal", *worlds, *options, "--link", *link)
         run = start_program("-m", "acsar_gym", *command)

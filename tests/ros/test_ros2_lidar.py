@@ -17,13 +17,6 @@ from acsar_gym.worlds import Scene
 YAW = 1.6
 WALLS = (-2.0, -1.5, 4.0, 2.5)
 """Least x and y, and largest x and y, of the robot's room [m]."""
-CONFIG = RobotConfig(
-    ros2={"joints": ["right_front", "left_front", "left_rear", "right_rear"]},
-    control_rate=50.0,
-    connect_timeout=3.0,
-    lidar_x_offset=0.1,
-    lidar_frame="laser",
-)
 
 
 def measure(namespace: str, config: RobotConfig) -> Revolution:
@@ -47,21 +40,32 @@ def shows_the_room(revolution: Revolution) -> bool:
     return bool(len(gaps) == 360 and gaps.max() < 0.01)
 
 
+@pytest.fixture
+def config(foreign_config: RobotConfig) -> RobotConfig:
+    return foreign_config.with_(connect_timeout=3.0, lidar_x_offset=0.1, lidar_frame="laser")
+
+
 @pytest.mark.parametrize(
     ("options", "yaw"),
-    [({}, 0.3), ({"static": "namespaced"}, 0.3), ({"static": "none"}, YAW), ({"mast": True}, YAW)],
-    ids=["transform", "namespaced", "none", "mast"],
+    [({}, 0.3), ({"static": "tf_static"}, 0.3), ({"mast": True}, YAW)],
+    ids=["transform", "namespaced", "mast"],
 )
 def test_scan_uses_the_transform_of_its_frame_or_the_robots_file(
-    options: dict[str, Any], yaw: float, start_robot: StartRobot, namespace: str
+    options: dict[str, Any],
+    yaw: float,
+    config: RobotConfig,
+    start_robot: StartRobot,
+    namespace: str,
 ) -> None:
     start_robot(scan_yaw=YAW, **options)
-    assert shows_the_room(measure(namespace, CONFIG.with_(lidar_yaw=yaw)))
+    assert shows_the_room(measure(namespace, config.with_(lidar_yaw=yaw)))
 
 
-def test_scan_refuses_an_unknown_pose(start_robot: StartRobot, namespace: str) -> None:
+def test_scan_refuses_an_unknown_pose(
+    config: RobotConfig, start_robot: StartRobot, namespace: str
+) -> None:
     start_robot(scan_yaw=YAW, mast=True)
     message = r"no transform from 'base_link' to its frame 'laser' .*mast -> laser\): .* lidar_yaw"
     with pytest.raises(LidarError, match=message) as caught:
-        measure(namespace, CONFIG)
+        measure(namespace, config)
     assert str(caught.value).isprintable()

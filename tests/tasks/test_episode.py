@@ -40,7 +40,6 @@ def test_draw_in_world_fills_the_regions() -> None:
     [
         ("open:5", {"world": 5}, "world 5: must be of open 0 to 4"),
         ("open:5", {"goal": (1.0, math.inf)}, "goal"),
-        (["open:5", "rooms:5"], {"world": 2}, "world 2: must be a name like 'clutter 17'"),
     ],
 )
 def test_draw_in_world_refuses_wrong_options(

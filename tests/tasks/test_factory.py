@@ -50,14 +50,12 @@ def returning(value: Any) -> Any:
 CLASSES: list[tuple[dict[str, Any], str]] = [
     ({"observation": {"x": (1.0, 0.0)}}, "Mine: observation: the bounds of a name must be"),
     ({"memory": {"odom_x": 0.0}}, "Mine: memory 'odom_x': info has that already"),
-    ({"sensors": "lidar"}, ".*sensor"),
     ({"told": ("speed",)}, "Mine: told: no memory 'speed'"),
 ]
 METHODS: list[tuple[dict[str, Any], str]] = [
     ({"outcome": returning(7)}, "Mine.outcome returned 7: must be an Outcome"),
     ({"reward": returning(np.nan)}, "Mine.reward returned nan: must be a finite number"),
     ({"observe": returning((1.0, 2.0))}, r"Mine.observe returned numbers of shape \(2,\): must be"),
-    ({"reward": lambda self: 0.0}, r"Mine: TypeError: .* takes 1 positional argument"),
     ({"reward": Task.reward}, "Mine: NotImplementedError: a task needs the method reward"),
 ]
 
@@ -82,7 +80,6 @@ def test_task_mistake_is_one_line_at_the_latest_in_the_first_step(
     ("option", "message"),
     [
         ({"tolerence": 1.0}, "unknown option 'tolerence' of WithField; did you mean 'tolerance'"),
-        ({"lnik": "planar"}, "did you mean 'link'"),
         ({"weights": {"naer": 1.0}}, "unknown weight 'naer' of WithField; did you mean 'near'"),
         ({"weights": {"near": np.inf}}, "weight near = inf: must be a finite number"),
     ],
@@ -122,9 +119,6 @@ def test_register_options_of_one_mode() -> None:
 
     with pytest.raises(ConfigError, match="unknown option 'thread' in vector_kwargs; did you mean"):
         acsar_gym.register("mine/Typo-v0", task=PointGoal, vector_kwargs={"thread": 2})
-
-    with pytest.raises(ConfigError, match="must be a subclass of"):
-        acsar_gym.register("mine/Typo-v0", task=dict)  # type: ignore[arg-type]
     assert "mine/Typo-v0" not in gymnasium.registry
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -16,8 +15,6 @@ from acsar_gym.tasks.episode import Spawn
 
 ACSAR = RobotConfig.preset("acsar")
 TASK = PointGoal()
-coordinate = st.floats(-20.0, 20.0)
-angle = st.floats(-math.pi, math.pi)
 
 
 @pytest.mark.parametrize(("theta", "cos", "sin"), [(0.0, 1.0, 0.0), (-math.pi / 2.0, 0.0, 1.0)])

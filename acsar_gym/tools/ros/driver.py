@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
 import time
 from array import array
 from collections import deque
@@ -43,8 +42,8 @@ from acsar_gym.recording.messages import make_covariances
 from acsar_gym.robot import Robot
 from acsar_gym.ros.node import (
     NANOSECONDS,
+    SPIN_PERIOD,
     RosNode,
-    RosSetupError,
     explain_age,
     make_stamp,
     read_stamp,
@@ -63,8 +62,6 @@ QUEUE_TICKS = 1000
 """Number of ticks that wait for a node that stalls. After that, the oldest are lost."""
 SIMULATION_START = NANOSECONDS
 """First time of /clock [ns]. In ROS, 0 means that a stamp isn't set."""
-SPIN_PERIOD = 0.1
-"""How soon threads notice that they must end [s]."""
 REPORT_PERIOD = 10.0
 """Time between two reports of the same kind of refused command [s]."""
 DRIVER_PARAMETERS = (
@@ -248,8 +245,6 @@ class RobotNode(RosNode):
         self._late_ticks = 0
         self._reported_late_ticks = 0
         self._reported: set[str] = set()
-        self._running = True
-        self._failure: Exception | None = None
 
         try:
             self._read_parameters()
@@ -257,12 +252,6 @@ class RobotNode(RosNode):
         except BaseException:
             super().close()
             raise
-
-        # A callback that blocks must not delay what is published, nor the reverse.
-        loops = (partial(self.spin, SPIN_PERIOD), self._publish_measured)
-        self._threads = [
-            threading.Thread(target=self._repeat, args=(loop,), daemon=True) for loop in loops
-        ]
 
     def _read_parameters(self) -> None:
         """Declare the parameters, and read their values."""
@@ -382,8 +371,8 @@ class RobotNode(RosNode):
     def start(self) -> None:
         """Start the threads, which end before the process does."""
         call_at_end(self.close)
-        for thread in self._threads:
-            thread.start()
+        # A callback that blocks must not delay what is published, nor the reverse.
+        self.start_threads(partial(self.spin, SPIN_PERIOD), self._publish_measured)
         self.say(f"drives {self.link or self.config.serial_port}")
 
     def read_scene(self) -> Scene:
@@ -400,31 +389,14 @@ class RobotNode(RosNode):
             with contextlib.suppress(Empty):
                 self._measured.get_nowait()
 
-    def check(self) -> None:
-        """Raise RosSetupError if a thread has failed."""
-        if self._failure is not None:
-            raise RosSetupError(DRIVER_NODE, self.namespace, self._failure) from self._failure
-
     def close(self) -> None:
         """End threads and node."""
-        self._running = False
         while self.requests:
             _, answer = self.requests.popleft()
             answer.set_exception(ConfigError("the driver has ended"))
-        # A thread that hangs in rclpy isn't waited for.
-        for thread in self._threads:
-            if thread.is_alive():
-                thread.join(2.0 * SPIN_PERIOD)
         super().close()
 
     # In the threads
-
-    def _repeat(self, loop: Callable[[], None]) -> None:
-        try:
-            while self._running:
-                loop()
-        except Exception as error:  # noqa: BLE001 - any error ends the control loop
-            self._failure = error
 
     def _take_stamped(self, message: Any) -> None:
         # A stamp of zero means now, as in ros2_controllers.

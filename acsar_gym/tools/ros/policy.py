@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -18,8 +18,7 @@ import gymnasium
 from acsar_gym.config import RobotConfig
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import ConfigError, EmergencyStopError, show_value
-from acsar_gym.links.ros2 import Ros2Link
-from acsar_gym.ros.node import RosNode, make_stamp
+from acsar_gym.ros.node import SPIN_PERIOD, RosNode, make_stamp
 from acsar_gym.sensors.map.sensor import find_map
 from acsar_gym.tasks.goal import GoalTask
 from acsar_gym.tools.evaluation.episode import Episode
@@ -33,8 +32,6 @@ POLICY_NODE = "acsar_policy"
 DEFAULT_POLICY = "point_goal"
 IDLE_PERIOD = 0.05
 """How soon a goal is noticed while the robot is at rest [s]."""
-SPIN_PERIOD = 0.1
-"""How soon the thread notices that it must end [s]."""
 
 
 class GoalError(ConfigError):
@@ -82,10 +79,10 @@ class Frames:
 
     def find_base(self) -> Pose | None:
         """Return the robot's pose in the odometry's frame. None if it isn't known."""
-        return self._climb(self._base, self._odom) or self._pose
+        return self._find(self._base) or self._pose
 
-    def find_goal(self, goal: Goal) -> Goal:
-        """Return a goal in the odometry's frame.
+    def find_goal(self, goal: Goal) -> Pose:
+        """Return the place of a goal in the odometry's frame, as a pose.
 
         Raises:
             GoalError: It has no finite numbers, no frame, or a frame that no transforms connect
@@ -97,44 +94,40 @@ class Frames:
         if not frame:
             raise GoalError(f"{goal}: its header names no frame")
 
-        place = (goal.x, goal.y, 0.0)
-
-        # A frame such as the base has a place in odom. A frame such as map contains odom.
-        frame_pose = self.find_base() if frame == self._base else self._climb(frame, self._odom)
-        if frame_pose is not None:
-            return Goal(*to_world(frame_pose, place)[:2], self._odom)
-        odom_pose = self._climb(self._odom, frame)
-        if odom_pose is not None:
-            return Goal(*to_odometry(odom_pose, place)[:2], self._odom)
-        raise GoalError(
-            f"{goal}: no transforms on /tf and /tf_static connect this frame with "
-            f"{show_value(self._odom)}"
-        )
+        pose = self.find_base() if frame == self._base else self._find(frame)
+        if pose is None:
+            raise GoalError(
+                f"{goal}: no transforms on /tf and /tf_static connect this frame with "
+                f"{show_value(self._odom)}"
+            )
+        return to_world(pose, (goal.x, goal.y, 0.0))
 
     def fix_goal(self, goal: Goal) -> Goal:
         """Return a goal in a frame that doesn't move with the robot, such as map or odom."""
         # A goal ahead of the robot must not move with it.
-        is_fixed = self._climb(self._odom, goal.frame.lstrip("/")) is not None
-        return goal if is_fixed else self.find_goal(goal)
+        frame = goal.frame.lstrip("/")
+        ancestors = self._list_ancestors(frame)
+        moves = self._base in ancestors or (self._odom in ancestors and frame != self._odom)
+        return Goal(*self.find_goal(goal)[:2], self._odom) if moves else goal
 
-    def require_base(self, goal: Goal) -> Pose:
-        """Return the robot's pose in the odometry's frame. GoalError if it isn't known."""
-        base = self.find_base()
-        if base is None:
-            raise GoalError(f"{goal}: neither /tf nor the odometry's topic has the robot's pose")
-        return base
-
-    def _climb(self, child: str, ancestor: str) -> Pose | None:
-        """Return the pose of a frame in one of its ancestors. None if it isn't its ancestor."""
-        pose: Pose = (0.0, 0.0, 0.0)
-        for _ in range(len(self._placed) + 1):  # transforms may form a circle
-            if child == ancestor:
-                return pose
-            if child not in self._placed:
-                break
-            child, placed = self._placed[child]
-            pose = to_world(placed, pose)
+    def _find(self, frame: str) -> Pose | None:
+        """Return the pose of a frame in the odometry's. None if transforms don't connect them."""
+        ancestors = self._list_ancestors(frame)
+        for ancestor, odom_pose in self._list_ancestors(self._odom).items():
+            if ancestor in ancestors:
+                return to_odometry(odom_pose, ancestors[ancestor])
         return None
+
+    def _list_ancestors(self, frame: str) -> dict[str, Pose]:
+        """Return the poses of a frame in itself, in its parent, and so on, by their names."""
+        poses: dict[str, Pose] = {frame: (0.0, 0.0, 0.0)}
+        while frame in self._placed:
+            parent, placed = self._placed[frame]
+            if parent in poses:  # the transforms form a circle
+                break
+            poses[parent] = to_world(placed, poses[frame])
+            frame = parent
+        return poses
 
 
 class GoalRules(NamedTuple):
@@ -197,8 +190,6 @@ class PolicyNode(RosNode):
         self.goal: Goal | None = None
         self.is_driving = False
         self.is_cancelled = False
-        self._running = True
-        self._thread = threading.Thread(target=self._spin, name=POLICY_NODE, daemon=True)
 
     def start(self, config: RobotConfig) -> None:
         """Receive the robot's poses from now on."""
@@ -209,7 +200,7 @@ class PolicyNode(RosNode):
         kind = self.ros.Odometry
         self.subscribe(config.ros2.odom_topic, kind, self._take_odometry, best_effort=True)
         self._plan = self.publish("plan", self.ros.Path)
-        self._thread.start()
+        self.start_threads(partial(self.spin, SPIN_PERIOD))
 
     def listen(self, rules: GoalRules, about: str) -> None:
         """Receive goals and offer the service from now on."""
@@ -218,13 +209,6 @@ class PolicyNode(RosNode):
         self.subscribe("goal_pose", self.ros.PoseStamped, self._take_goal)
         self.node.create_service(self.ros.Trigger, "~/cancel", self._cancel)
         self.say(f"{about}: waits for goals")
-
-    def close(self) -> None:
-        """End thread and node."""
-        self._running = False
-        if self._thread.is_alive():
-            self._thread.join(2.0 * SPIN_PERIOD)
-        super().close()
 
     def take_goal(self) -> Goal:
         """Take the newest goal, to drive to it."""
@@ -244,8 +228,13 @@ class PolicyNode(RosNode):
         # A goal of the command line is relative to the robot already.
         place = goal[:2]
         if goal.frame:
-            target = self.frames.find_goal(goal)
-            place = to_odometry(self.frames.require_base(goal), (*target[:2], 0.0))[:2]
+            in_odom = self.frames.find_goal(goal)
+            base = self.frames.find_base()
+            if base is None:
+                raise GoalError(
+                    f"{goal}: neither /tf nor the odometry's topic has the robot's pose"
+                )
+            place = to_odometry(base, in_odom)[:2]
         self.rules.check(goal, math.hypot(*place))
         return place
 
@@ -256,10 +245,6 @@ class PolicyNode(RosNode):
         if self.is_cancelled:
             return "cancelled"
         return "replaced by another goal" if self.goal is not None else "not reached"
-
-    def refuse(self, error: GoalError) -> None:
-        """Log why a goal isn't driven to."""
-        self.warn(f"refused: {error}")
 
     @property
     def is_interrupted(self) -> bool:
@@ -283,10 +268,6 @@ class PolicyNode(RosNode):
 
     # In the thread
 
-    def _spin(self) -> None:
-        while self._running:
-            self.spin(SPIN_PERIOD)
-
     def _take_transforms(self, message: Any) -> None:
         for stamped in message.transforms:
             place = stamped.transform
@@ -306,7 +287,7 @@ class PolicyNode(RosNode):
             self.find_place(goal)
             self.goal = self.frames.fix_goal(goal)
         except GoalError as error:
-            self.refuse(error)
+            self.warn(f"refused: {error}")
 
     def _cancel(self, _: Any, response: Any) -> Any:
         response.success = self.is_driving or self.goal is not None
@@ -336,21 +317,17 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     """An env whose goal follows the transforms, and whose episode ends by a new goal or a cancel.
 
     Args:
-        env: Env whose link is `link`.
+        env: Env whose link is one to a robot in ROS 2.
         node: Node that receives goals.
-        link: Link to the robot.
 
     Attributes:
         goal: Goal of the episode.
     """
 
-    def __init__(self, env: gymnasium.Env[Any, Any], node: PolicyNode, link: Ros2Link) -> None:
+    def __init__(self, env: gymnasium.Env[Any, Any], node: PolicyNode) -> None:
         super().__init__(env)
-        inner = env.unwrapped
-        assert isinstance(inner, RobotEnv)  # noqa: S101 - `run_episodes` accepts no other
-        self._inner = inner
+        self._inner: Any = env.unwrapped
         self._node = node
-        self._link = link
         self._start: Pose | None = None
         self.goal = Goal(0.0, 0.0)
 
@@ -365,8 +342,8 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Do a step."""
         # The map may have been corrected since the last step.
         if self.goal.frame and self._start is not None:
-            target = self._node.frames.find_goal(self.goal)
-            move_goal(self._inner, to_odometry(self._start, (*target[:2], 0.0))[:2])
+            in_odom = self._node.frames.find_goal(self.goal)
+            move_goal(self._inner, to_odometry(self._start, in_odom)[:2])
         observation, reward, terminated, truncated, info = self.env.step(action)
 
         # The wheels stop at once, also if a new goal follows.
@@ -380,13 +357,12 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
     def _show_plan(self, start: Pose) -> None:
         robot = self._inner.robot
         map_sensor = find_map(robot.sensors)
-        goal = self._inner.episode.assignment.goal
         # Without a map, the way is a straight line.
+        goal = self._inner.episode.assignment.goal
         ahead = [goal] if map_sensor is None else map_sensor.way_ahead.tolist()
         places = [robot.odometry.pose, *((x, y, 0.0) for x, y, *_ in ahead)]
-        self._node.show_plan(
-            [to_world(start, place)[:2] for place in places], self._link.ros_time()
-        )
+        points = [to_world(start, place)[:2] for place in places]
+        self._node.show_plan(points, robot.link.ros.ros_time())
 
 
 def drive_goals(
@@ -418,11 +394,12 @@ def drive_goals(
     link.places_robot = False
     node.listen(GoalRules.of(env), str(policy.path))
     # Wrapped once: episodes come and go, the robot and its links stay.
-    watched = GoalEnv(env, node, link)
+    watched = GoalEnv(env, node)
     driven = 0
     while count is None or driven < count:
         # The robot is at rest, and its link goes on, so that failures and stops are noticed.
         while node.goal is None:
+            node.check()
             robot.check_estop()
             if robot.safety.stopped:
                 raise EmergencyStopError
@@ -436,7 +413,7 @@ def drive_goals(
         except GoalError as error:
             if not goal.frame:
                 raise
-            node.refuse(error)
+            node.warn(f"refused: {error}")
             continue
         finally:
             node.is_driving = False

@@ -18,12 +18,13 @@ QUARTER = math.pi / 2.0
 
 
 def make_frames() -> Frames:
-    """A localized robot: map, odom, base_footprint, base_link and its LiDAR."""
+    """A localized robot: map, odom, base_footprint, base_link and its LiDAR, and a station."""
     frames = Frames("odom", "base_link")
     frames.add("map", "odom", (1.0, 0.0, QUARTER))
     frames.add("odom", "base_footprint", (2.0, 1.0, QUARTER))
     frames.add("base_footprint", "base_link", (0.0, 0.0, 0.0))
     frames.add("base_link", "laser", (0.2, 0.0, 0.0))
+    frames.add("map", "station", (0.0, 2.0, 0.0))
     return frames
 
 
@@ -35,6 +36,7 @@ def make_frames() -> Frames:
         ("odom", (3.0, -1.0), (3.0, -1.0)),
         ("base_link", (1.0, 0.5), (1.5, 2.0)),
         ("laser", (1.0, 0.5), (1.5, 2.2)),
+        ("station", (1.0, 1.0), (3.0, 0.0)),  # neither above odom nor below
     ],
 )
 def test_find_goal_transforms_to_the_odometrys_frame(
@@ -46,10 +48,12 @@ def test_find_goal_transforms_to_the_odometrys_frame(
 def test_fix_goal_keeps_only_a_goal_ahead_from_moving() -> None:
     frames = make_frames()
     in_map = frames.fix_goal(Goal(1.0, 3.0, "map"))
+    at_station = frames.fix_goal(Goal(1.0, 1.0, "station"))
     ahead = frames.fix_goal(Goal(1.0, 0.0, "base_link"))
     frames.add("map", "odom", (1.0, 1.0, QUARTER))
     frames.add("odom", "base_footprint", (5.0, 5.0, 0.0))
-    assert frames.find_goal(in_map)[:2] == pytest.approx((2.0, 0.0))
+    for goal in (in_map, at_station):
+        assert frames.find_goal(goal)[:2] == pytest.approx((2.0, 0.0))
     assert frames.find_goal(ahead)[:2] == pytest.approx((2.0, 2.0))
 
 
