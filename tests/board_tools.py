@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from boards import NoTrailingComma, Sibling, board
+from boards import board
 
 from acsar_gym import Link, RobotConfig
 from acsar_gym.tools.commission.board_checks import BoardExamination
 from acsar_gym.tools.commission.checks import Check
 from acsar_gym.tools.commission.wiring import parse_seen
 
-__all__ = ["NoTrailingComma", "Sibling", "board", "examined"]
+__all__ = ["board", "examined"]
 
 
 def examined(

@@ -26,7 +26,6 @@ with contextlib.suppress(OSError):
 sys.path.insert(0, str(Path(__file__).parent / "measure"))
 sys.path.insert(0, str(Path(__file__).parent))
 
-from nursery import nursery as programs
 from serial_tools import Emulated, RobotFile, StartEmulator, start
 
 from acsar_gym import RobotConfig
@@ -44,7 +43,7 @@ settings.register_profile("ours", max_examples=30, deadline=None, derandomize="C
 settings.register_profile("thorough", settings.get_profile("ours"), max_examples=400)
 settings.load_profile("ours")
 
-IN_REAL_TIME = {"deadline", "nursery", "shared_emulator", "start_emulator"}
+IN_REAL_TIME = {"deadline", "shared_emulator", "start_emulator"}
 """A test that asks for one of these talks to other processes, and mostly waits for them."""
 
 
@@ -116,13 +115,6 @@ def _released() -> Iterator[None]:
     """An emergency stop of one test doesn't hold the next."""
     yield
     release_process()
-
-
-@pytest.fixture(scope="module")
-def nursery() -> Iterator[None]:
-    """`nursery.program` works: for modules that start many programs."""
-    with programs():
-        yield
 
 
 @pytest.fixture

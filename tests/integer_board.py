@@ -15,7 +15,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from acsar_gym.links.base import Link
+from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.worlds import Scene
 
 BYTES_PER_MILLISECOND = 11.52
@@ -54,6 +54,10 @@ class BoardProgram:
     """From one line to the next."""
     timeout: int = 500
     """From the newest command to the time-out. 0 for none."""
+    ends: bytes = b",\r\n"
+    """What ends a value."""
+    padded: bool = True
+    """Whether speeds are printed as `05.00`. Otherwise as `5.00`."""
 
     @property
     def lag(self) -> float:
@@ -63,6 +67,8 @@ class BoardProgram:
 
 SLOWER = BoardProgram(divisor=24, deadband=90, quantum=12)
 """Its lag is 234.9 ms."""
+SIBLING = BoardProgram(deadband=90, fraction=16, quantum=12, ends=b",", padded=False)
+"""A board as code of sibling robots has it, which takes a value at its comma."""
 
 
 def divide(a: int, b: int) -> int:
@@ -100,11 +106,11 @@ class IntegerBoard:
         return line
 
     def _take_byte(self, byte: int) -> None:
-        """Take a number at its comma, or at the end of a line."""
-        if byte not in b",\r\n":
+        """Take a number at its end."""
+        if byte not in self.program.ends:
             self._text = (self._text + bytes([byte]))[-16:]
             return
-        text = self._text
+        text = self._text.strip()
         self._text = b""
         digits = text[2:].replace(b".", b"")
         if len(text) == 7 and text[:1] in b"abcd" and text[1:2] in b"pn" and digits.isdigit():
@@ -144,7 +150,8 @@ class IntegerBoard:
             off = divide(self._random >> 4, 4096 // (2 * noise + 1) + 1) - noise if noise else 0
             size = min(abs(divide(speed + off, quantum) * quantum), 9999)
             sign = "n" if speed + off < 0 else "p"
-            parts.append(f"{letter}{sign}{size // 100:02d}.{size % 100:02d},")
+            whole = f"{size // 100:02d}" if self.program.padded else f"{size // 100}"
+            parts.append(f"{letter}{sign}{whole}.{size % 100:02d},")
         return ("".join(parts) + "\r\n").encode() if parts else b""
 
 
@@ -212,3 +219,15 @@ class IntegerLink(Link):
         for byte in data:
             self._free[way] = max(self._free[way], begin) + 1.0 / BYTES_PER_MILLISECOND
             queue.append((self._free[way], byte))
+
+
+class NoTrailingComma(LinkWrapper):
+    """A board that reads whole lines, and misses the last value if a comma follows it."""
+
+    partial_line = b""
+
+    def write(self, data: bytes) -> None:
+        *lines, self.partial_line = (self.partial_line + data).split(b"\r\n")
+        for line in lines:
+            taken = line[:-1].rpartition(b",")[0] if line.endswith(b",") else line
+            super().write(taken + b",")

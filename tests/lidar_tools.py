@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from lidar_twins import MAKERS, let_wobble
 from numpy.typing import NDArray
-from serial_tools import Emulated, Forked, first_line
+from processes import Program, first_line
+from serial_tools import Emulated
 
 from acsar_gym.tools.emulation.lidar import LidarEmulator, LidarTwin
 
@@ -47,11 +48,11 @@ def nothing(bearings: Floats, ages: Floats | None = None) -> Floats:
 
 def start_lidar(log: Path, *arguments: str) -> Emulated:
     """A sensor that serves. `log` gets a line each time it starts a turn or changes its state."""
-    process = Forked("--log", str(log), *arguments, main=main)
+    process = Program("import lidar_tools; lidar_tools.main()", "--log", str(log), *arguments)
     emulated = Emulated(process, first_line(process), log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()
-        raise AssertionError(f"no device from {process.args}")
+        raise AssertionError(f"no device from {arguments}")
     return emulated
 
 

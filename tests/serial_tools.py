@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import gc
 import os
-import select
 import shlex
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
-from multiprocessing.forkserver import ensure_running
 from pathlib import Path
-from typing import IO
 
-import boards
-import pytest
+from processes import Program, first_line, program
 
 from acsar_gym import testing
 from acsar_gym.guard.shutdown import install_handlers
@@ -82,59 +73,11 @@ StartEmulator = Callable[..., "Emulated"]
 RobotFile = Callable[..., Path]
 
 
-class Forked:
-    """`main()` with command line arguments, in a process that has imported everything already.
-
-    With what tests use of subprocess.Popen.
-    """
-
-    def __init__(self, *arguments: str, main: Callable[[], None] | None = None) -> None:
-        self.args = arguments
-        context = _fork_server()
-        inputs, outputs = zip(*(context.Pipe(duplex=False) for _ in range(2)), strict=True)
-        task = (main, arguments, dict(os.environ), outputs)
-        self._process = context.Process(target=_run, args=task, daemon=True)
-        self._process.start()
-        for end in outputs:
-            end.close()
-        self.stdout, self.stderr = map(_as_text, inputs)
-
-    @property
-    def pid(self) -> int:
-        assert self._process.pid is not None
-        return self._process.pid
-
-    def poll(self) -> int | None:
-        return self._process.exitcode
-
-    def wait(self, timeout: float) -> int:
-        """The exit status. Raises TimeoutExpired where it still runs after `timeout` [s]."""
-        self._process.join(timeout)
-        code = self.poll()
-        if code is None:
-            raise subprocess.TimeoutExpired(self.args, timeout)
-        return code
-
-    def send_signal(self, number: signal.Signals) -> None:
-        if self.poll() is None:
-            os.kill(self.pid, number)
-
-    def terminate(self) -> None:
-        self.send_signal(signal.SIGTERM)
-
-    def kill(self) -> None:
-        self.send_signal(signal.SIGKILL)
-
-    def close(self) -> None:
-        self.stdout.close()
-        self.stderr.close()
-
-
-class Started(subprocess.Popen[str]):
+class Started(subprocess.Popen[bytes]):
     """Any other program that serves a board: it is not forked."""
 
     def __init__(self, *command: str) -> None:
-        super().__init__(command, stdout=subprocess.PIPE, text=True)
+        super().__init__(command, stdout=subprocess.PIPE, bufsize=0)
 
     def close(self) -> None:
         """Let go of the pipe."""
@@ -142,46 +85,10 @@ class Started(subprocess.Popen[str]):
         self.stdout.close()
 
 
-def _as_text(pipe: Connection) -> IO[str]:
-    with pipe:
-        return os.fdopen(os.dup(pipe.fileno()), encoding="utf-8")
-
-
-@functools.cache
-def _fork_server() -> ForkServerContext:
-    """Multiprocessing's, running, with everything that an emulator needs."""
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["__main__", "serial_tools", "lidar_tools", "emulator_process"])
-    with pytest.MonkeyPatch.context() as patch:  # Python 3.11's doesn't pass sys.path on
-        patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
-        ensure_running()
-    return context
-
-
-def _run(
-    main: Callable[[], None] | None,
-    arguments: tuple[str, ...],
-    environment: dict[str, str],
-    said: tuple[Connection, Connection],
-) -> None:
-    """Run `main`, or acsar-gym, with `said` as standard output and error."""
-    from acsar_gym.tools import cli
-
-    os.environ.clear()
-    os.environ.update(environment)
-    for number, pipe in enumerate(said, start=1):
-        os.dup2(pipe.fileno(), number)
-        pipe.close()
-    sys.stdout, sys.stderr = (os.fdopen(n, "w", buffering=1, closefd=False) for n in (1, 2))
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.argv = ["acsar-gym", *arguments]
-    (main or cli.main)()
-
-
 class Emulated(EmulatedBoard):
     """An emulator in another process: `device` is what links open."""
 
-    def __init__(self, process: Forked | Started, device: str, log: Path) -> None:
+    def __init__(self, process: Program | Started, device: str, log: Path) -> None:
         super().__init__(process.send_signal, device, log)
         self.process = process
         self.log = log
@@ -237,9 +144,9 @@ def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
     """
     options = ("--log", str(log), *arguments)
     if board:
-        process: Started | Forked = Started(*shlex.split(board), *options)
+        process: Started | Program = Started(*shlex.split(board), *options)
     else:
-        process = Forked("emulate", *options, main=boards.emulate)
+        process = Program("import boards; boards.emulate()", "emulate", *options)
     emulated = Emulated(process, first_line(process).split(" ")[-1], log)
     if not emulated.device.startswith("/dev/"):
         emulated.end()
@@ -247,36 +154,11 @@ def start(log: Path, *arguments: str, board: str | None = None) -> Emulated:
     return emulated
 
 
-def first_line(process: subprocess.Popen[str] | Forked) -> str:
-    assert process.stdout is not None
-    ready, _, _ = select.select([process.stdout], [], [], TIMEOUT)
-    return process.stdout.readline().strip() if ready else ""
-
-
 def cli(*arguments: str | Path, timeout: float = TIMEOUT) -> subprocess.CompletedProcess[str]:
     """`acsar-gym ARGUMENTS`, to its end, without a keyboard."""
-    process = Forked(*map(str, arguments))
-    with ThreadPoolExecutor(2) as readers:
-        try:
-            texts = [readers.submit(stream.read) for stream in (process.stdout, process.stderr)]
-            code = process.wait(timeout)
-        finally:
-            process.kill()
-    process.close()
-    return subprocess.CompletedProcess(arguments, code, *(text.result() for text in texts))
-
-
-@contextlib.contextmanager
-def program(code: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A Python program in another process, killed at the end of the block if it still runs."""
-    command = [sys.executable, "-c", code, *arguments]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+    with program(HEEDING_CTRL_C, *map(str, arguments)) as process:
+        output, errors = process.communicate(timeout)
+        return subprocess.CompletedProcess(arguments, process.wait(), output, errors)
 
 
 def open_files() -> int:

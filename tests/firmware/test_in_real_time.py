@@ -20,7 +20,7 @@ from serial_tools import Emulated, cli, start
 from acsar_gym import RobotConfig
 from acsar_gym.testing import wait_until
 
-pytestmark = pytest.mark.usefixtures("deadline", "nursery")
+pytestmark = pytest.mark.usefixtures("deadline")
 
 TRIALS = 20
 PATIENT = {"connect_timeout": 20.0, "feedback_timeout": 5.0, "watchdog_timeout": 2.0}

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 from boards import LikeABoard
+from processes import first_line, program
 from serial_tools import (
     CLI,
     DRIVER,
@@ -24,9 +25,7 @@ from serial_tools import (
     Emulated,
     RobotFile,
     StartEmulator,
-    first_line,
     no_leak,
-    program,
     wait_until,
 )
 

@@ -7,13 +7,13 @@ import signal
 import time
 
 import pytest
-from nursery import ended, first_line, program
+from processes import ended, first_line, program
 from serial_tools import DRIVER, Emulated, wait_until
 from watchdog_tools import HASTY
 
 from acsar_gym.protocol import ZERO
 
-pytestmark = pytest.mark.usefixtures("deadline", "nursery")
+pytestmark = pytest.mark.usefixtures("deadline")
 
 DRIVE = "robot.activate(); drive({ticks}); {end}"
 FOREVER = 10**9

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import psutil
 import pytest
-from nursery import first_line, program
+from processes import first_line, program
 from serial_tools import no_leak, wait_until
 from watchdog_tools import HASTY, ZEROS
 
@@ -28,7 +28,7 @@ from acsar_gym.guard.watchdog_child import (
     boot_clock,
 )
 
-pytestmark = pytest.mark.usefixtures("deadline", "nursery")
+pytestmark = pytest.mark.usefixtures("deadline")
 
 WATCH_TIMEOUT = 0.15
 

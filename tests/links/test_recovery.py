@@ -11,14 +11,14 @@ import gymnasium
 import numpy as np
 import pytest
 import yaml
-from nursery import first_line, program
+from processes import first_line, program
 from serial_tools import DRIVER, TIMEOUT, Emulated, no_leak, start, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, LinkLostError
 from acsar_gym.protocol import ZERO, Decoder
 
-pytestmark = pytest.mark.usefixtures("deadline", "nursery")
+pytestmark = pytest.mark.usefixtures("deadline")
 
 
 CURVE = np.array([0.1, 0.1], np.float32)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from nursery import first_line, program
+from processes import first_line, program
 from serial_tools import (
     DRIVER,
     TIMEOUT,
@@ -22,7 +22,7 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO
 from acsar_gym.worlds import Scene
 
-pytestmark = pytest.mark.usefixtures("deadline", "nursery")
+pytestmark = pytest.mark.usefixtures("deadline")
 
 MISSING = "/dev/acsar-missing"
 NOBODY = 65534

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from nursery import first_line, program
+from processes import first_line, program
 from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, no_leak, wait_until
 from watchdog_tools import HASTY, TURNING, ZEROS, children
 
@@ -27,7 +27,7 @@ from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.worlds import Scene
 
-pytestmark = pytest.mark.usefixtures("deadline", "nursery")
+pytestmark = pytest.mark.usefixtures("deadline")
 
 
 @pytest.fixture

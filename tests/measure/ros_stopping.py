@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import psutil
-from nursery import Program, first_line, nursery, program
+from processes import Program, first_line, nursery, program
 from ros_tools import FOREIGN_ROBOT
 from serial_tools import HEEDING_CTRL_C, start
 from stopping import FAULT_JITTER, LIMIT, MAX_STARTS, Stops, find_stop, list_commands, report

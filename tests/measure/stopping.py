@@ -23,7 +23,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from nursery import Program, first_line, nursery, program
+from processes import Program, first_line, nursery, program
 from rich.console import Console
 from rich.table import Table
 from serial_tools import Emulated, start

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from serial_tools import first_line, program
+from processes import first_line, program
 
 from acsar_gym.resources import AGENTS
 from acsar_gym.testing import wait_until

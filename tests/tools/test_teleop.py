@@ -17,16 +17,8 @@ import gamepad_tools
 import numpy as np
 import pytest
 from gamepad_tools import FULL, LB, LEFT, LET_GO, QUIT, REST, START, STOP, EmulatedPad
-from serial_tools import (
-    CLI,
-    HEEDING_CTRL_C,
-    TIMEOUT,
-    Emulated,
-    RobotFile,
-    no_leak,
-    program,
-    wait_until,
-)
+from processes import program
+from serial_tools import CLI, HEEDING_CTRL_C, TIMEOUT, Emulated, RobotFile, no_leak, wait_until
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.guard.estop import stop_all

@@ -16,6 +16,9 @@ from stable_baselines3.common.type_aliases import Schedule
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.training.recipes import import_classes
 
+Parts = tuple[torch.Tensor, torch.Tensor]
+"""Even and odd parts of a layer's units, (batch, n) each."""
+
 
 class MirrorPolicy(ActorCriticPolicy):
     """PPO's actor and critic, equivariant under the mirror image left to right.
@@ -38,91 +41,112 @@ class MirrorPolicy(ActorCriticPolicy):
         reversed_at: Sequence[Sequence[int]] = (),
         **kwargs: Any,
     ) -> None:
-        kwargs["features_extractor_class"] = _BothImages
-        kwargs["features_extractor_kwargs"] = {"odd": [*odd], "reversed_at": reversed_at}
-        super().__init__(*args, **import_classes(kwargs))
+        self._mirror: dict[str, Any] = {"odd": [*odd], "reversed_at": [*reversed_at]}
+        features = {
+            "features_extractor_class": _Split,
+            "features_extractor_kwargs": self._mirror,
+        }
+        super().__init__(*args, **import_classes(kwargs) | features)
+
+    def _get_constructor_parameters(self) -> dict[str, Any]:
+        return super()._get_constructor_parameters() | self._mirror
 
     def _build_mlp_extractor(self) -> None:
-        """Make the hidden layers of stable-baselines3, then replace each by a `_MirrorLayer`."""
+        """Make the hidden layers of stable-baselines3, then let each act on even and odd parts."""
         super()._build_mlp_extractor()
         features: Any = self.features_extractor
+        sizes = (len(features.even), len(features.odd))
         for layers in (self.mlp_extractor.policy_net, self.mlp_extractor.value_net):
             for place, layer in enumerate(layers):
-                if isinstance(layer, torch.nn.Linear):
-                    parts = () if place else (features.even, features.odd)
-                    layers[place] = _MirrorLayer(layer, *parts)
+                if not isinstance(layer, torch.nn.Linear):
+                    layers[place] = _MirrorActivation(layer)
+                elif place:
+                    layers[place] = _MirrorLayer(layer.in_features, layer.in_features, layer)
+                else:
+                    layers[place] = _MirrorLayer(*sizes, layer)
 
     def _build(self, lr_schedule: Schedule) -> None:
         super()._build(lr_schedule)
-        # Only the outputs are means. Their weights stay those of the optimizer.
-        self.action_net = _Mean(self.action_net, [1.0, -1.0])
-        self.value_net = _Mean(self.value_net, [1.0])  # type: ignore[assignment]
+        # The optimizer has their weights already, whose places stay.
+        self.action_net = _Outputs(self.action_net, odd=1)
+        self.value_net = _Outputs(self.value_net, odd=0)  # type: ignore[assignment]
 
 
-class _BothImages(FlattenExtractor):
-    """Maps observations (batch, n) to themselves and their mirror images, (batch, 2, n)."""
+class _Split(FlattenExtractor):
+    """Maps observations (batch, n) to their even and odd parts."""
 
-    def __init__(self, space: Any, odd: list[int], reversed_at: Sequence[Sequence[int]]) -> None:
+    def __init__(self, space: Any, odd: list[int], reversed_at: list[Sequence[int]]) -> None:
         super().__init__(space)
-        # Where each number of the mirror image comes from, and its sign.
-        places = list(range(self.features_dim))
-        order = places.copy()
-        for first, count in reversed_at:
-            order[first : first + count] = reversed(range(first, first + count))
-        if sorted(order) != places or not {*odd} <= {*places}:
+        width = self.features_dim
+        groups = [range(first, first + count) for first, count in reversed_at]
+        mirrored = [*odd, *(place for group in groups for place in group)]
+        if len(set(mirrored)) < len(mirrored) or not set(mirrored) <= set(range(width)):
             raise ConfigError(
                 f"MirrorPolicy: odd = {odd}, reversed_at = {reversed_at}: must be different ones "
-                f"of {len(places)} numbers"
+                f"of {width} numbers"
             )
+
+        # Where each number of the mirror image comes from.
+        order = list(range(width))
+        for group in groups:
+            order[group.start : group.stop] = reversed(group)
         self.order = torch.nn.Buffer(torch.tensor(order))
-        self.signs = torch.nn.Buffer(torch.ones(len(places)))
+        self.signs = torch.nn.Buffer(torch.ones(width))
         self.signs[odd] = -1.0
 
         # A pair has a mean and a difference, which need only one place each.
-        self.even = [place for place in places if place <= order[place] and place not in odd]
-        self.odd = [place for place in places if place < order[place] or place in odd]
+        places = range(width)
+        even = [place for place in places if place <= order[place] and place not in odd]
+        odd = [place for place in places if place < order[place] or place in odd]
+        self.even = torch.nn.Buffer(torch.tensor(even))
+        self.odd = torch.nn.Buffer(torch.tensor(odd))
 
-    def forward(self, observations: torch.Tensor) -> torch.Tensor:
+    def forward(self, observations: torch.Tensor) -> Parts:  # type: ignore[override]
         features = self.flatten(observations)
-        return torch.stack((features, features[:, self.order] * self.signs), dim=1)
+        image = features[:, self.order] * self.signs
+        return 0.5 * (features + image)[:, self.even], 0.5 * (features - image)[:, self.odd]
 
 
 class _MirrorLayer(torch.nn.Module):
-    """Maps units and their mirror images, (batch, 2, n), to those of the next layer.
+    """Weights for `even` and for `odd` numbers instead of those of `layer`."""
 
-    Args:
-        layer: Layer of the same size.
-        even: Units whose even part is used, by default all.
-        odd: Units whose odd part is used, by default all.
-    """
-
-    def __init__(
-        self, layer: torch.nn.Linear, even: Sequence[int] = (), odd: Sequence[int] = ()
-    ) -> None:
+    def __init__(self, even: int, odd: int, layer: torch.nn.Linear) -> None:
         super().__init__()
-        # Only the odd part without a bias keeps its sign in the mirror.
-        inputs = layer.in_features
-        outputs = layer.out_features
-        self.even_units: Any = torch.nn.Buffer(torch.tensor(even)) if even else slice(None)
-        self.odd_units: Any = torch.nn.Buffer(torch.tensor(odd)) if odd else slice(None)
-        self.even = torch.nn.Linear(len(even) or inputs, outputs)
-        self.odd = torch.nn.Linear(len(odd) or inputs, outputs, bias=False)
+        # Only without a bias does the odd part keep its sign in the mirror.
+        self.even = torch.nn.Linear(even, layer.out_features)
+        self.odd = torch.nn.Linear(odd, layer.out_features, bias=False)
 
-    def forward(self, units: torch.Tensor) -> torch.Tensor:
-        even = self.even(0.5 * (units[:, 0] + units[:, 1])[:, self.even_units])
-        odd = self.odd(0.5 * (units[:, 0] - units[:, 1])[:, self.odd_units])
-        return torch.stack((even + odd, even - odd), dim=1)
+    def forward(self, parts: Parts) -> Parts:
+        even, odd = parts
+        return self.even(even), self.odd(odd)
 
 
-class _Mean(torch.nn.Module):
-    """The mean of a layer's results for both images, with the signs of the second."""
+class _MirrorActivation(torch.nn.Module):
+    """Activates the units and their mirror images, whose mean and difference are the parts."""
 
-    def __init__(self, layer: torch.nn.Module, signs: list[float]) -> None:
+    def __init__(self, activation: torch.nn.Module) -> None:
+        super().__init__()
+        self.activation = activation
+
+    def forward(self, parts: Parts) -> Parts:
+        even, odd = parts
+        units = self.activation(even + odd)
+        images = self.activation(even - odd)
+        return 0.5 * (units + images), 0.5 * (units - images)
+
+
+class _Outputs(torch.nn.Module):
+    """Takes the last `odd` results of a layer from the odd part, without bias."""
+
+    def __init__(self, layer: Any, odd: int) -> None:
         super().__init__()
         self.layer = layer
-        self.signs = torch.nn.Buffer(torch.tensor(signs))
+        self.odd = odd
 
-    def forward(self, units: torch.Tensor) -> torch.Tensor:
-        results = self.layer(units)
-        mean: torch.Tensor = 0.5 * (results[:, 0] + results[:, 1] * self.signs)
-        return mean
+    def forward(self, parts: Parts) -> torch.Tensor:
+        even, odd = parts
+        split = self.layer.out_features - self.odd
+        weight = self.layer.weight
+        linear = torch.nn.functional.linear
+        results = linear(even, weight[:split], self.layer.bias[:split])
+        return torch.cat((results, linear(odd, weight[split:])), dim=1)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from lidar_tools import state, turns
 from lidar_twins import MAKERS
+from processes import first_line, program
 from serial_lidar_tools import (
     MODELS,
     Open,
@@ -21,7 +22,7 @@ from serial_lidar_tools import (
     reset,
     shows_the_room,
 )
-from serial_tools import TIMEOUT, Emulated, first_line, no_leak, program, wait_until
+from serial_tools import TIMEOUT, Emulated, no_leak, wait_until
 
 from acsar_gym.errors import LidarError
 

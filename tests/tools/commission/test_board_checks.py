@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from board_tools import NoTrailingComma, Sibling, board, examined
+from board_tools import board, examined
+from integer_board import SIBLING, IntegerLink, NoTrailingComma
 
 from acsar_gym import Link, Robot, RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
@@ -26,12 +27,6 @@ MIRRORED = ("swapped-motors", "swapped-encoders")
 TIMEOUT = "stops when commands stop"
 
 
-def boot(link: Sibling) -> Sibling:
-    """A board that has started."""
-    link.advance(2.0)
-    return link
-
-
 def test_run_finds_nothing_to_fix_on_a_board_as_documented(tmp_path: Path) -> None:
     result, rows = examined(board())
     assert {row.status for row in rows.values()} == {"ok"}
@@ -44,7 +39,7 @@ def test_run_finds_nothing_to_fix_on_a_board_as_documented(tmp_path: Path) -> No
     ("make", "configured", "status", "needed"),
     [
         (lambda: board("at-comma"), False, "warn", True),
-        (lambda: boot(NoTrailingComma()), True, "warn", False),
+        (lambda: NoTrailingComma(IntegerLink(SIBLING)), True, "warn", False),
         (lambda: board("no-comma", "dead-wheel=a"), True, "warn", False),
     ],
     ids=["needed", "in the way", "with a dead wheel"],
@@ -190,7 +185,7 @@ def test_parse_seen_refuses_what_cannot_have_been_seen(saw: str, message: str) -
 
 
 def test_run_measures_a_foreign_board() -> None:
-    result, rows = examined(boot(Sibling()), config=RobotConfig(trailing_comma=False))
+    result, rows = examined(IntegerLink(SIBLING), config=RobotConfig(trailing_comma=False))
     warned = {name for name, row in rows.items() if row.status != "ok"}
     assert warned == {"feedback rate", "line end"}
     assert result.changes == {"trailing_comma": True, "firmware": {"feedback_rate": 50.0}}

@@ -9,14 +9,8 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from serial_tools import (
-    TIMEOUT,
-    StartEmulator,
-    cli,
-    no_leak,
-    program,
-    wait_until,
-)
+from processes import program
+from serial_tools import TIMEOUT, StartEmulator, cli, no_leak, wait_until
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import EmergencyStopError

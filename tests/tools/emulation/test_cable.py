@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from serial_tools import TIMEOUT, StartEmulator, no_leak, program
+from processes import first_line, program
+from serial_tools import TIMEOUT, StartEmulator, no_leak
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.tools.emulation.cable import EmulatedCable
@@ -129,8 +130,7 @@ def test_emulate_ends_by_a_signal_in_the_background(
     number: signal.Signals, code: int, name: Path
 ) -> None:
     with program(IGNORING, "emulate", "--name", str(name)) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().startswith("serving a robot on ")
+        assert first_line(process).startswith("serving a robot on ")
         process.send_signal(number)
         assert process.wait(TIMEOUT) == code
     assert not name.is_symlink()
