@@ -103,7 +103,7 @@ faults: $(READY)  ## plant 60 faults in the package, one at a time, and count th
 	nice -n 19 $(BIN)/python tests/measure/plant_faults.py
 
 licences: $(READY)  ## write docs/licences.md from what is installed
-	$(BIN)/python tests/licence_tools.py >docs/licences.md
+	$(BIN)/python tests/measure/licence_tools.py >docs/licences.md
 
 reference: $(READY)  ## write what docs/reference shows of docstrings
 	$(BIN)/python tests/docs/test_reference.py

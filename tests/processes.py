@@ -1,8 +1,7 @@
 """Python programs in other processes, forked from one that has imported everything.
 
 A fork takes 20 ms instead of 1 s, and runs its code as a script of its own would, down to the
-interpreter's end.
-"""
+interpreter's end."""
 
 from __future__ import annotations
 
@@ -22,6 +21,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
+import psutil
+
+from acsar_gym.protocol import ZERO, encode
 from acsar_gym.testing import TIMEOUT
 
 PRELOADED = ["acsar_gym.links.serial", "acsar_gym.recording", "preloaded"]
@@ -164,8 +166,9 @@ def program(code: str, *arguments: str) -> Iterator[Program]:
         running.close()
 
 
-def first_line(process: Program) -> str:
+def first_line(process: Program | subprocess.Popen[bytes]) -> str:
     """The first line of a program that then prints no more, or waits."""
+    assert process.stdout is not None
     ready, _, _ = select.select([process.stdout], [], [], TIMEOUT)
     return process.stdout.readline().decode().strip() if ready else ""
 
@@ -174,3 +177,20 @@ def ended(process: Program) -> tuple[int, str]:
     """Exit status and standard error."""
     _, error = process.communicate(TIMEOUT)
     return process.wait(), error
+
+
+TURNING = encode((3.0, 3.0, 3.0, 3.0))
+ZEROS = b"\r\n" + encode(ZERO)
+HASTY = 0.5
+"""Time-out of a watchdog that shall trip, and not before a busy machine has gone on [s]."""
+
+
+def children() -> list[psutil.Process]:
+    """Watchdogs of this process, living and dead. A dead process has no command line."""
+
+    def watches(process: psutil.Process) -> bool:
+        with contextlib.suppress(psutil.Error):
+            return any("watchdog_child" in word for word in process.cmdline())
+        return True
+
+    return [child for child in psutil.Process().children() if watches(child)]

@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import multiprocessing
+import os
+import tty
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
+import serial
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from rosbags.rosbag2 import CompressionFormat, StoragePlugin
+from rosbags.rosbag2 import Writer as FolderWriter
 
-from acsar_gym import Robot, RobotConfig, open_link
+from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.envs.ids import full_id
-from acsar_gym.recording import Recorder
+from acsar_gym.protocol import ZERO, encode
+from acsar_gym.recording import Recorder, messages, read
+from acsar_gym.recording.recorder import RecordedLink
+from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
 
@@ -49,3 +63,162 @@ def record_drive(path: Path, *ways: list[tuple[float, float, int]]) -> Path:
                 for _ in range(ticks):
                     robot.drive(linear, angular)
     return path
+
+
+JOINTS = messages.JOINT_NAMES
+Bag = Sequence[tuple[str, str, int, bytes]]
+"""Topic, type, time [ns] and content of each message."""
+
+
+def make_bag(
+    tape: Path,
+    topics: Mapping[str, str],
+    names: Sequence[str] = JOINTS,
+    change: Callable[[str, Any], Any] = lambda topic, content: content,
+) -> Bag:
+    """Return what a bag of the drive would hold.
+
+    Args:
+        tape: A recording of this package.
+        topics: Names of topics in the recording, and in the bag.
+        names: Names of the wheels' joints.
+        change: Called with a topic and its message. Returns the message that is stored.
+    """
+    store = messages.load_typestore()
+    bag = []
+    with tape.open("rb") as file:
+        for schema, channel, message in make_reader(file).iter_messages():
+            if channel.topic not in topics or schema is None:
+                continue
+            content: Any = store.deserialize_cdr(message.data, schema.name)
+            if channel.topic == "/joint_states":
+                content.name = list(names)
+            content = change(channel.topic, content)
+            kind = content.__msgtype__
+            data = bytes(store.serialize_cdr(content, kind))
+            bag.append((topics[channel.topic], kind, message.log_time, data))
+    return sorted(bag, key=lambda message: message[2])
+
+
+def without_velocities(topic: str, content: Any) -> Any:
+    """Joint states with positions only, and stamped twists."""
+    if topic == "/joint_states":
+        content.velocity = np.zeros(0)
+    if topic.startswith("/cmd_vel"):
+        return messages.make_message("geometry_msgs/msg/TwistStamped", twist=content)
+    return content
+
+
+def write_mcap(path: Path, bag: Bag) -> Path:
+    """Write an MCAP file as rosbag2 does."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "rosbag2")
+        channels: dict[str, int] = {}
+        for topic, kind, time, data in bag:
+            if topic not in channels:
+                definition = messages.define(kind)
+                schema = writer.register_schema(kind, "ros2msg", definition)
+                channels[topic] = writer.register_channel(topic, "cdr", schema)
+            writer.add_message(channels[topic], time, data, time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def write_folder(path: Path, bag: Bag, storage: StoragePlugin, packed: Any = None) -> Path:
+    """Write a folder of rosbag2, with its metadata.yaml."""
+    store = messages.load_typestore()
+    writer = FolderWriter(path, version=9, storage_plugin=storage)
+    if packed is not None:
+        writer.set_compression(packed, CompressionFormat.ZSTD)
+    with writer:
+        connections: dict[str, Any] = {}
+        for topic, kind, time, data in bag:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], time, data)
+    return path
+
+
+PERIOD = 0.01
+TICKS = 310
+"""Periods of a tape: 10 at rest, then the wheels turn."""
+TURNING = encode((3.0, 3.0, 3.0, 3.0))
+
+
+def taped(path: Path, config: RobotConfig) -> Path:
+    """The planar robot, recorded: it stands, then its wheels turn."""
+    with recorded(open_link("planar", config), path, config) as link:
+        link.open()
+        link.reset(Scene())
+        for tick in range(TICKS):
+            link.write(encode(ZERO) if tick < 10 else TURNING)
+            link.advance(PERIOD)
+        link.close()
+    return path
+
+
+@contextlib.contextmanager
+def recorded(link: Link, path: Path, config: RobotConfig | None = None) -> Iterator[RecordedLink]:
+    """A link that is recorded inside the block."""
+    with Recorder(path) as recorder:
+        yield RecordedLink(link, recorder, RobotConfig.of(config))
+
+
+def play(tape: Path, master: int, heard: Any) -> None:
+    """A tape player at the far end of the tty: one period's feedback for each command heard."""
+    wrong = 0
+    for episode in read(tape).episodes:
+        writes = iter(episode.wire.sent)
+        pieces = iter(episode.wire.got)
+        for period in episode.exchanges:
+            sent = b"".join(islice(writes, period["writes"]))
+            wrong += _heard(master, len(sent)) != sent
+            os.write(master, b"".join(islice(pieces, period["pieces"])))
+        last = b"".join(writes)  # the stop at the end
+        wrong += _heard(master, len(last)) != last
+    heard.put(wrong)
+
+
+def _heard(master: int, size: int) -> bytes:
+    """So many bytes from the other end of the tty."""
+    heard = b""
+    while len(heard) < size:
+        heard += os.read(master, size - len(heard))
+    return heard
+
+
+class TtyReplayLink(ReplayLink):
+    """Reads the feedback of each period from a port, at which another program plays the tape."""
+
+    def __init__(self, path: Path, port: serial.Serial) -> None:
+        super().__init__(path)
+        self._port = port
+
+    def write(self, data: bytes) -> None:
+        super().write(data)
+        self._port.write(data)
+
+    def advance(self, period: float) -> bytes:
+        recorded = super().advance(period)
+        arrived: bytes = self._port.read(len(recorded))
+        assert len(arrived) == len(recorded)
+        return arrived
+
+
+@contextlib.contextmanager
+def playing(tape: Path) -> Iterator[tuple[serial.Serial, Any]]:
+    """A port at which a process plays the tape, and a queue that says how many commands differ."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    fork = multiprocessing.get_context("fork")
+    heard = fork.Queue()
+    player = fork.Process(target=play, args=(tape, master, heard), daemon=True)
+    player.start()
+    port = serial.Serial(os.ttyname(slave), 115200, timeout=5.0, exclusive=True)
+    yield port, heard
+    port.close()
+    player.terminate()
+    player.join()
+    os.close(master)
+    os.close(slave)

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from boards import apply_to_config, make_link, parse_quirks
 
-from acsar_gym import RobotConfig
+from acsar_gym import Robot, RobotConfig
 from acsar_gym.links import open_link
-from acsar_gym.recording.types import WireLog
-from acsar_gym.robot import Robot
+from acsar_gym.links.base import Link, LinkWrapper
+from acsar_gym.protocol import Speeds
+from acsar_gym.recording.blocks import Head
+from acsar_gym.recording.events import Tables
+from acsar_gym.recording.types import Episode, Floats, Recording, Scans, WireLog
+from acsar_gym.tools.sysid.calibration import (
+    CalibrationRun,
+    Geometry,
+    RunReading,
+    read_protractor,
+    read_tape,
+)
+from acsar_gym.tools.sysid.calibration_drive import RunPlan, drive_run, plan_straights, plan_turns
 from acsar_gym.tools.sysid.excitation import TapedLink
 from acsar_gym.tools.sysid.identify import Identification, ParameterFinding, identify_device
+from acsar_gym.worlds import Scene
 
 ACSAR = RobotConfig.preset("acsar")
 TOLERANCES = {
@@ -135,3 +150,173 @@ def drive_wire(
         for tick in range(round(seconds / known.period)):
             robot.tick(np.broadcast_to(speeds(tick * known.period), 4).tolist())
     return tape.log
+
+
+TAPE_DIVISION = 0.005
+
+
+def draw_wheels(seed: int) -> RobotConfig:
+    """A robot whose multiplier is 1.2 to 2.2, and whose radii are off by up to 3 % a side."""
+    rng = np.random.default_rng(seed)
+    multipliers = rng.uniform(0.97, 1.03, 2).tolist()
+    return ACSAR.with_(
+        left_wheel_radius_multiplier=multipliers[0],
+        right_wheel_radius_multiplier=multipliers[1],
+        body={"turn_factor": float(rng.uniform(1.2, 2.2))},
+    )
+
+
+def read_as_person(run: CalibrationRun) -> CalibrationRun:
+    """Read a run with a tape with marks every 5 mm and a protractor with marks every degree."""
+
+    def read(truth: RunReading) -> RunReading:
+        if truth.kind == "heading":
+            return read_protractor(float(round(math.degrees(truth.value))))
+        return read_tape(truth.kind, round(truth.value / TAPE_DIVISION) * TAPE_DIVISION)
+
+    kinds = ("heading",) if run.manoeuvre == "turn" else ("distance", "aside")
+    return replace(
+        run, readings=tuple(read(truth) for truth in run.readings if truth.kind in kinds)
+    )
+
+
+def usual_plans() -> list[RunPlan]:
+    """What `straight` and `turn` drive by default."""
+    return [*plan_straights(2.0, 0.3, 3), *plan_turns(5.0, (0.6, 1.2), (0.0,), 1)]
+
+
+def drive_with_truth(
+    plans: Sequence[RunPlan], twin: RobotConfig, config: RobotConfig = ACSAR, link: str = "planar"
+) -> list[CalibrationRun]:
+    """Drive a simulated robot that isn't as configured. The truth measures."""
+    robot = Robot(open_link(link, twin), config)
+    return [drive_run(robot, replace(plan, back=False), reads_truth=True) for plan in plans]
+
+
+def leg_wheels(left: Sequence[float], right: Sequence[float], parts: int = 100) -> Floats:
+    """Wheel angles of legs, each with these angles of the left and the right wheels [rad]."""
+    ends = np.cumsum([(0.0, 0.0), *zip(left, right, strict=True)], axis=0)
+    return np.concatenate(
+        [np.linspace(start, end, parts, endpoint=False) for start, end in pairwise(ends)]
+        + [ends[-1:]]
+    )
+
+
+def line_wheels(geometry: Geometry, distance: float) -> Floats:
+    """Wheel angles of a straight command of the robot that odometry takes it for."""
+    return leg_wheels([distance / geometry.radius], [distance / geometry.radius])
+
+
+def spin_wheels(geometry: Geometry, angle: float, separation: float = 0.3) -> Floats:
+    """Wheel angles of a turn in place."""
+    turned = angle * separation * geometry.multiplier / 2.0 / geometry.radius
+    return leg_wheels([-turned], [turned])
+
+
+def circle_wheels(geometry: Geometry, radius: float, angle: float) -> Floats:
+    """Wheel angles of a circle that the centre drives, to the left where the angle is positive."""
+    way = radius * abs(angle)
+    turned = angle * 0.3 * geometry.multiplier / 2.0
+    return leg_wheels([(way - turned) / geometry.radius], [(way + turned) / geometry.radius])
+
+
+SLICES = 20
+"""Parts of a tick whose bytes have stamps of their own."""
+HIDDEN: dict[str, Any] = {"motor": {"time_constant": 0.14}, "body": {"friction": 0.7}}
+"""Changes that make a robot whose default twin is wrong."""
+
+
+class Tap(LinkWrapper):
+    """Forwards to a simulated link, and keeps the bytes with their times.
+
+    Args:
+        link: Simulated link.
+        phase: Time from the board's start to the first stamp [s].
+    """
+
+    def __init__(self, link: Link, phase: float = 0.0) -> None:
+        super().__init__(link)
+        self._phase = phase
+        self.sent: list[tuple[float, bytes]] = []
+        self.got: list[tuple[float, bytes]] = []
+
+    def reset(self, scene: Scene) -> None:
+        self.inner.reset(scene)
+        if self._phase:
+            self.inner.advance(self._phase)
+
+    def write(self, data: bytes) -> None:
+        self.inner.write(data)
+        self.sent.append((self.now(), data))
+
+    def advance(self, period: float) -> bytes:
+        arrived = b""
+        for _ in range(SLICES):
+            data = self.inner.advance(period / SLICES)
+            if data:
+                self.got.append((self.now(), data))
+            arrived += data
+        return arrived
+
+    @property
+    def log(self) -> WireLog:
+        columns: list[Any] = []
+        for pieces in (self.sent, self.got):
+            stamps, data = zip(*pieces, strict=True)
+            columns += [np.array(stamps), data]
+        return WireLog(*columns)
+
+
+def random_steps(seed: int, duration: float, config: RobotConfig) -> list[Speeds]:
+    """Wheel speeds for each tick: a new straight line or turn every 0.3 to 0.9 s, or a stop."""
+    rng = np.random.default_rng(seed)
+    ticks: list[Speeds] = []
+    while len(ticks) < duration * config.control_rate:
+        right_speed, left_speed = rng.uniform(-9.0, 9.0, 2) if rng.random() < 0.75 else (0.0, 0.0)
+        ticks += [(right_speed, left_speed, left_speed, right_speed)] * int(
+            rng.uniform(0.3, 0.9) * config.control_rate
+        )
+    return ticks[: int(duration * config.control_rate)]
+
+
+def driven(config: RobotConfig, ticks: Iterable[Speeds], *, phase: float = 0.0) -> Episode:
+    """Drive a twin of `config` open-loop, and return the episode."""
+    tap = Tap(open_link("planar", config), phase)
+    robot = Robot(tap, config)
+    robot.reset(Scene())
+    rows = []
+    for command in ticks:
+        robot.tick(command)
+        odometry = robot.odometry
+        assert tap.truth is not None
+        rows.append((tap.now(), odometry.pose, odometry.twist, robot.speeds, tap.truth.pose))
+    robot.close()
+
+    stamps, poses, twists, speeds, truth = (np.array(column) for column in zip(*rows, strict=True))
+    count = len(stamps)
+    return Episode(
+        Head(info={}),
+        Tables(),
+        wire=tap.log,
+        stamps=stamps,
+        poses=poses,
+        twists=twists,
+        speeds=speeds,
+        truth=truth,
+        terminated=False,
+        step_stamps=np.zeros(0),
+        asked=twists,
+        sent=twists,
+        reasons=np.zeros(count, np.int64),
+        lateness=np.full(count, np.nan),
+        observations=np.zeros((0, 0), np.float32),
+        actions=np.zeros((0, 2), np.float32),
+        rewards=np.zeros(0),
+        scans=Scans(np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64)),
+    )
+
+
+def recording(config: RobotConfig, *episodes: Episode, name: str = "") -> Recording:
+    """Make a recording, whose hash is that of `name`."""
+    sha256 = hashlib.sha256(name.encode()).hexdigest()[:16]
+    return Recording(header={}, sha256=sha256, config=config, episodes=episodes)

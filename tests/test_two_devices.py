@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from processes import first_line
 from serial_tools import Emulated, StartEmulator, no_leak
 
 from acsar_gym import Robot, RobotConfig, open_link
@@ -30,8 +31,7 @@ def start(
 ) -> tuple[Emulated, dict[str, Any]]:
     """Start an emulator of both devices. Returns it, and the env's options."""
     emulated = start_emulator("--world", world, "--lidar", *options)
-    assert emulated.process.stdout is not None
-    line = emulated.process.stdout.readline().strip()
+    line = first_line(emulated.process)
     assert line.startswith("serving a LiDAR on /dev/")
     lidar = f"rplidar://{line.split(' ')[-1]}"
     return emulated, {"link": emulated.device, "lidar": lidar, "worlds": world}

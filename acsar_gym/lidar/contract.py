@@ -15,7 +15,7 @@ MAX_AHEAD = 60.0
 """A revolution may end this time, and reconnect_timeout, after now by the link's clock, which is
 still while a device of a recorded link starts. A revolution that is further ahead has another clock
 [s]."""
-REVOLUTION_BOUNDS = {
+BOUNDS = {
     "bearings": (-FULL_TURN, FULL_TURN, "rad"),
     "distances": (0.0, MAX_DISTANCE, "m"),
     "times": (-MAX_STAMP, MAX_STAMP, "s"),
@@ -65,20 +65,19 @@ def check_revolution(revolution: Revolution, source: str) -> Revolution:
     """
     fix = "must be an acsar_gym.lidar.scan.Revolution, 0 where no distance was measured"
     try:
-        arrays = [np.ascontiguousarray(numbers, np.float64) for numbers in revolution[:3]]
-        checked = Revolution(arrays[0], arrays[1], arrays[2], stamp=float(revolution[3]))
+        bearings, distances, times = np.array(revolution[:3], np.float64)
+        (_,) = bearings.shape  # ValueError for anything but a list of numbers
+        checked = Revolution(bearings, distances, times, float(revolution[3]))
     except (TypeError, ValueError, LookupError) as error:
         raise LidarError(f"{source}.scan() gave {show_value(revolution)}", fix) from error
 
-    for name, values in checked._asdict().items():
-        low, high, unit = REVOLUTION_BOUNDS[name]
-        # NaN fails both comparisons.
-        numbers = np.atleast_1d(values)
-        count = 1 if name == "stamp" else len(checked.bearings)
-        if numbers.shape != (count,) or not ((low <= numbers) & (numbers <= high)).all():
+    # Arrays that differ in length were refused above. NaN fails both comparisons.
+    for name, (low, high, unit) in BOUNDS.items():
+        values = np.asarray(getattr(checked, name))
+        if not ((low <= values) & (values <= high)).all():
             raise LidarError(
-                f"{source}.scan(): {name} = {show_value(np.asarray(values).tolist())}: must be "
-                f"{count} from {low:.4g} to {high:.4g} {unit}",
+                f"{source}.scan(): {name} = {show_value(values.tolist())}: must be "
+                f"from {low:.4g} to {high:.4g} {unit}",
                 fix,
             )
     return checked

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -17,13 +17,11 @@ from acsar_gym.links.base import Arrivals, Link, LinkWrapper
 from acsar_gym.protocol import MAX_LINE
 from acsar_gym.worlds import Scene
 
-WIRE_BUFFER = 65536  # most bytes that wait behind a late line, as in a driver's buffer
 TIME_TOLERANCE = 1e-9  # tolerance for comparing times that are sums of periods [s]
 
 # The numbers of `line_hash`. They decide which lines are lost, so they never change.
 FEEDBACK_LINE = 0
 COMMAND_LINE = 1
-WHOLE_EPISODE = 2
 DROPPED_LINE = 0
 LATE_LINE = 4
 FAULT_KINDS = 8  # largest number of kinds of faults
@@ -53,10 +51,6 @@ class Faults(Section):
     """Share of lines that are delayed by `lateness`. Lines behind a late line wait for it."""
     lateness: Annotated[float, Field(ge=0.0, le=60.0, strict=True)] = 0.05
     """Delay of a late line [s], rounded up to whole periods."""
-    episodes: Share = 1.0
-    """Share of episodes that have faults."""
-    direction: Literal["feedback", "commands", "both"] = "both"
-    """Which lines have faults: "feedback", "commands" or "both"."""
 
     @classmethod
     def of(cls, faults: Mapping[str, Any] | Faults | None) -> Faults:
@@ -73,14 +67,14 @@ class Faults(Section):
             if name not in cls.model_fields:
                 raise ConfigError(
                     f"unknown field {f'faults.{name[:40]}'!r}: faults are 'dropped_lines' and "
-                    "'late_lines', with 'lateness', 'episodes' and 'direction'"
+                    "'late_lines', with 'lateness'"
                 )
         return cls.model_validate(fields)
 
     @property
     def possible(self) -> bool:
         """Whether any line can be lost or late."""
-        return self.episodes > 0.0 and (self.dropped_lines > 0.0 or self.late_lines > 0.0)
+        return self.dropped_lines > 0.0 or self.late_lines > 0.0
 
 
 class FaultyWire:
@@ -93,7 +87,6 @@ class FaultyWire:
         self._lines_sent = 0
         self._partial = b""
         self._queue: deque[tuple[float, bytes]] = deque()
-        self._queued_bytes = 0
 
     def carry(self, data: bytes, now: float) -> bytes:
         """Put bytes in, and return the lines that arrive at the other end now."""
@@ -110,7 +103,6 @@ class FaultyWire:
         arrived = b""
         while self._queue and self._queue[0][0] <= now + TIME_TOLERANCE:
             arrived += self._queue.popleft()[1]
-        self._queued_bytes -= len(arrived)
         return arrived
 
     def _send(self, line: bytes, now: float) -> None:
@@ -127,10 +119,7 @@ class FaultyWire:
             if late < self._faults.late_lines:
                 release += self._faults.lateness
 
-        # A full buffer loses the newest lines, as a driver's does.
-        if not self._queue or self._queued_bytes + len(line) <= WIRE_BUFFER:
-            self._queue.append((release, line))
-            self._queued_bytes += len(line)
+        self._queue.append((release, line))
 
 
 class FaultyLink(LinkWrapper):
@@ -143,9 +132,8 @@ class FaultyLink(LinkWrapper):
     def __init__(self, link: Link, faults: Faults) -> None:
         super().__init__(link)
         self._faults = faults
-        self._commands: FaultyWire | None = None
-        self._feedback: FaultyWire | None = None
         self.seed(np.random.default_rng())
+        self._start(Faults(), 0.0)
 
     def seed(self, rng: np.random.Generator) -> None:
         """Set what the next resets draw from."""
@@ -159,29 +147,24 @@ class FaultyLink(LinkWrapper):
         # The next episode's key doesn't depend on how long this episode is.
         key = self._key
         self._key = float(self._rng.random())
+        self._start(self._faults, key)
 
-        # Sound episodes among faulty ones show a policy both.
-        has_faults = line_hash(key, WHOLE_EPISODE, 0.0, 0) < self._faults.episodes
-        self._commands = self._feedback = None
-        if has_faults and self._faults.direction != "feedback":
-            self._commands = FaultyWire(self._faults, key, COMMAND_LINE)
-        if has_faults and self._faults.direction != "commands":
-            self._feedback = FaultyWire(self._faults, key, FEEDBACK_LINE)
+    def _start(self, faults: Faults, key: float) -> None:
+        """Empty both directions of the cable. From now on lines have these faults."""
+        self._commands = FaultyWire(faults, key, COMMAND_LINE)
+        self._feedback = FaultyWire(faults, key, FEEDBACK_LINE)
 
     def write(self, data: bytes) -> None:
         """Send the lines that are neither lost nor late."""
-        if self._commands is not None:
-            data = self._commands.carry(data, self.inner.now())
-        if data:
-            self.inner.write(data)
+        if due := self._commands.carry(data, self.inner.now()):
+            self.inner.write(due)
 
     def advance(self, period: float) -> bytes:
         """Let a period pass [s], and return the feedback that arrived in it."""
         # Late commands arrive between two periods as well.
-        if self._commands is not None and (late := self._commands.carry(b"", self.inner.now())):
-            self.inner.write(late)
+        self.write(b"")
         data = self.inner.advance(period)
-        return data if self._feedback is None else self._feedback.carry(data, self.inner.now())
+        return self._feedback.carry(data, self.inner.now())
 
     @property
     def arrivals(self) -> Arrivals:
@@ -190,5 +173,5 @@ class FaultyLink(LinkWrapper):
 
     def close(self) -> None:
         """Close the link. Lines are complete until the next reset."""
-        self._commands = self._feedback = None
+        self._start(Faults(), 0.0)
         self.inner.close()

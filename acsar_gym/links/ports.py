@@ -12,7 +12,6 @@ import select
 import socket
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -44,22 +43,9 @@ MAX_READ_CHUNKS = 256  # chunks per read: enough for a driver's buffer, but no e
 DRAIN_TIMEOUT = 0.05  # longest wait for sent bytes to leave the port when it is closed [s]
 
 
-@dataclass(frozen=True, slots=True)
-class PortInfo:
-    """A serial device of this computer."""
-
-    device: str
-    description: str
-    serial_number: str | None = None
-    """Serial number of its USB adapter. None if it has none."""
-
-
-def find_ports() -> list[PortInfo]:
-    """List the serial devices of this computer."""
-    return [
-        PortInfo(port.device, port.description, port.serial_number)
-        for port in sorted(list_ports.comports())
-    ]
+def find_ports() -> list[Any]:
+    """List the serial devices of this computer, as pyserial's `ListPortInfo` describes them."""
+    return sorted(list_ports.comports())
 
 
 def locate_port(name: str) -> str:
@@ -74,7 +60,7 @@ def locate_port(name: str) -> str:
 
     number = name.removeprefix(SERIAL_NUMBER_PREFIX)
     ports = find_ports()
-    devices = [port.device for port in ports if port.serial_number == number]
+    devices: list[str] = [port.device for port in ports if port.serial_number == number]
     if len(devices) > 1:
         raise ConfigError(f"{name}: {', '.join(devices)} have this serial number: name one of them")
     if not devices:

@@ -210,6 +210,7 @@ def find_sensor(sensors: Iterable[Sensor], name: str) -> Any:
 
 def new_memory(sensor: Sensor, robots: int) -> Floats:
     """Make the memory of some robots, (names, robots), with the first values."""
+    # A row for each number, so that a number of all robots is contiguous.
     first = np.array(list(sensor.memory.values()), np.float64)
     return first.reshape(-1, 1).repeat(robots, axis=1)
 

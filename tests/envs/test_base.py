@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from mover_tools import HALL
+from scenes import HALL
 
 from acsar_gym.errors import ConfigError, MissingExtraError
 

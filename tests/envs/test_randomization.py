@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from varied import RANGES
+from scenes import RANGES
 
 POINT_GOAL = "acsar_gym/PointGoal-v0"
 

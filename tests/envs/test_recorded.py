@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mover_tools import HALL
-from varied import RANGES
+from scenes import HALL, RANGES
 
 EPISODES: dict[str, tuple[dict[str, Any], float, float]] = {
     "PointGoal-v0": (

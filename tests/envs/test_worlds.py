@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from mover_tools import HALL
+from scenes import HALL
 
 from acsar_gym import World
 from acsar_gym.envs.ids import make_vec

@@ -7,9 +7,8 @@ import signal
 import time
 
 import pytest
-from processes import ended, first_line, program
+from processes import HASTY, ended, first_line, program
 from serial_tools import DRIVER, Emulated, wait_until
-from watchdog_tools import HASTY
 
 from acsar_gym.protocol import ZERO
 

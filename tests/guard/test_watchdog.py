@@ -10,9 +10,8 @@ from collections.abc import Callable, Iterator
 
 import psutil
 import pytest
-from processes import first_line, program
+from processes import HASTY, ZEROS, first_line, program
 from serial_tools import no_leak, wait_until
-from watchdog_tools import HASTY, ZEROS
 
 from acsar_gym.errors import LinkError
 from acsar_gym.guard import watchdog

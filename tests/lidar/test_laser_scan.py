@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from acsar_gym.errors import LidarError
 from acsar_gym.lidar.contract import check_revolution
@@ -20,7 +21,6 @@ from acsar_gym.lidar.scan import Floats, Revolution
 NAN = math.nan
 INF = math.inf
 FULL_TURN = 2.0 * math.pi
-DEGREE = math.radians(1.0)
 ANGLES = st.floats(-math.pi, math.pi)
 SCAN = LaserScan(
     angle_min=-0.5,
@@ -38,7 +38,7 @@ def read(scan: LaserScan, mount: Mount = Mount()) -> Revolution:  # noqa: B008
     return check_revolution(read_scan(scan, mount, "/scan", timeout=1.0), "/scan")
 
 
-def angles_between(first: float, second: Floats) -> Floats:
+def angles_between(first: Any, second: Floats) -> Any:
     return np.abs(np.mod(second - first + math.pi, FULL_TURN) - math.pi)
 
 
@@ -49,8 +49,8 @@ def test_read_scan_counts_rays_from_the_first_ray_and_its_stamp() -> None:
     assert revolution.times == pytest.approx([7.0, 7.01, 7.02, 7.03, 7.04])
     assert revolution.stamp == pytest.approx(7.04)
     clockwise = read(SCAN._replace(angle_min=0.5, angle_increment=-0.25, time_increment=-0.01))
-    assert clockwise.bearings == pytest.approx([0.5, 0.25, 0.0, -0.25, -0.5])
-    assert clockwise.times == pytest.approx([7.0, 6.99, 6.98, 6.97, 6.96])
+    assert clockwise.bearings == pytest.approx(-revolution.bearings)
+    assert clockwise.times == pytest.approx(14.0 - revolution.times)
     assert clockwise.stamp == 7.0
 
 
@@ -72,22 +72,17 @@ def test_read_scan_makes_failures_zero_and_moves_the_others_by_the_mount() -> No
 
 def make_transform(roll: float, pitch: float, yaw: float, *, scale: float = 1.0) -> Any:
     """The geometry_msgs/Transform of a URDF's rpy. A quaternion may have any length."""
-    cr, cp, cy = (math.cos(angle / 2.0) for angle in (roll, pitch, yaw))
-    sr, sp, sy = (math.sin(angle / 2.0) for angle in (roll, pitch, yaw))
-    rotation = SimpleNamespace(
-        x=scale * (sr * cp * cy - cr * sp * sy),
-        y=scale * (cr * sp * cy + sr * cp * sy),
-        z=scale * (cr * cp * sy - sr * sp * cy),
-        w=scale * (cr * cp * cy + sr * sp * sy),
+    quaternion = scale * Rotation.from_euler("xyz", (roll, pitch, yaw)).as_quat()
+    return SimpleNamespace(
+        translation=SimpleNamespace(x=0.2, y=-0.1, z=0.4),
+        rotation=SimpleNamespace(**dict(zip("xyzw", quaternion.tolist(), strict=True))),
     )
-    return SimpleNamespace(translation=SimpleNamespace(x=0.2, y=-0.1, z=0.4), rotation=rotation)
 
 
 @given(yaw=ANGLES, roll=st.floats(-0.05, 0.05), pitch=st.floats(-0.05, 0.05))
 def test_read_mount_turns_bearings_by_its_yaw(yaw: float, roll: float, pitch: float) -> None:
     mount = read_mount(make_transform(roll, pitch, yaw, scale=1.5), "/scan")
     assert mount[:2] == (0.2, -0.1)
-    assert angles_between(yaw, np.array(mount.yaw)) < 1e-9
     bearings = read(SCAN, Mount(yaw=mount.yaw)).bearings
     assert (np.abs(bearings) <= math.pi).all()
     assert angles_between(yaw - 0.5, bearings)[0] < 1e-9
@@ -96,15 +91,14 @@ def test_read_mount_turns_bearings_by_its_yaw(yaw: float, roll: float, pitch: fl
 @pytest.mark.parametrize(
     ("transform", "message"),
     [
-        (make_transform(0.0, 0.0, 0.0, scale=0.0), "must be finite numbers and a quaternion"),
+        (make_transform(0.0, 0.0, 0.0, scale=1e-9), "must be finite numbers and a quaternion"),
         (make_transform(0.0, 0.1, 1.0), "/scan: its frame is tilted by 5.7 degrees"),
         (make_transform(math.pi, 0.0, 0.3), "is tilted by 180.0 degrees: .* upside down"),
     ],
 )
 def test_read_mount_refuses_a_bad_transform(transform: Any, message: str) -> None:
-    with pytest.raises(LidarError, match=message) as caught:
+    with pytest.raises(LidarError, match=message):
         read_mount(transform, "/scan")
-    assert str(caught.value).isprintable()
 
 
 @pytest.mark.parametrize(
@@ -116,10 +110,7 @@ def test_read_mount_refuses_a_bad_transform(transform: Any, message: str) -> Non
         ({"time_increment": 0.1}, r"time_increment = 0.1: 5 rays would take 0.4 s, at most 0.2 s"),
         ({"time_increment": 0.4, "scan_time": 0.0}, r"would take 1.6 s, at most 1 s are possible"),
         ({"range_max": NAN}, "range_min = 0.1: must be less than range_max"),
-        (
-            {"angle_increment": 1.0, "ranges": [1.0] * 360, "time_increment": 0.0},
-            "angle_increment = 1: 360 rays of 57 turns: must be rad",
-        ),
+        ({"angle_increment": 4.0}, "angle_increment = 4: 5 rays of 3 turns: must be rad"),
     ],
 )
 def test_read_scan_refuses_bad_fields(fields: dict[str, float], message: str) -> None:
@@ -133,13 +124,12 @@ def revolutions(draw: st.DrawFn) -> Revolution:
     """A full turn of equal steps in either direction from any bearing, in any order."""
     count = draw(st.integers(3, 60))
     direction = draw(st.sampled_from([-1.0, 1.0]))
-    distance = st.just(0.0) | st.floats(0.1, 12.1)
     steps = np.array(draw(st.permutations(range(count))))
     bearings = draw(ANGLES) + direction * steps * FULL_TURN / count
     ended = draw(st.floats(-1e3, 1e5))
     return Revolution(
         bearings=np.mod(bearings + math.pi, FULL_TURN) - math.pi,
-        distances=np.array(draw(st.lists(distance, min_size=count, max_size=count))),
+        distances=np.where(steps % 7 == 3, 0.0, 0.1 + steps / 5.0),
         times=ended - draw(st.floats(0.01, 0.9)) * (count - 1 - steps) / count,
         stamp=ended,
     )
@@ -150,7 +140,7 @@ def test_make_scan_is_read_back_as_the_revolution(revolution: Revolution) -> Non
     scan = make_scan(revolution, 0.1, 12.1)
     assert scan.angle_increment > 0.0
     returned = read(scan)
-    gaps = np.array([angles_between(bearing, returned.bearings) for bearing in revolution.bearings])
+    gaps = angles_between(revolution.bearings[:, None], returned.bearings)
     match = gaps.argmin(axis=1)
     assert sorted(match) == [*range(len(returned.bearings))]
     assert gaps.min(axis=1).max() < 1e-4
@@ -160,29 +150,21 @@ def test_make_scan_is_read_back_as_the_revolution(revolution: Revolution) -> Non
     assert returned.stamp == pytest.approx(revolution.stamp, abs=tolerance, rel=1e-12)
 
 
-@given(
-    st.lists(st.tuples(ANGLES, st.floats(0.0, 20.0), st.floats(0.0, 1.0)), min_size=1, max_size=40),
-    st.integers(1, 60),
+@pytest.mark.parametrize(
+    ("distances", "ranges"),
+    [([1.0, 2.0, 3.0, 4.0], [4.0, 2.0, 1.0, 3.0]), ([0.0, 0.05, 20.0, 9.0], [9.0, -INF, INF, INF])],
 )
 def test_make_scan_gives_each_ray_the_nearest_measurement(
-    measurements: list[tuple[float, float, float]], rays: int
+    distances: list[float], ranges: list[float]
 ) -> None:
-    bearings, distances, times = np.array(measurements).T
-    revolution = Revolution(bearings, distances, times, 1.0)
-    scan = make_scan(revolution, 0.1, 10.0, angle_min=-math.pi, rays=rays)
-    ranges = np.asarray(scan.ranges)
-    assert ranges.shape == (rays,)
-    assert ranges.dtype == np.float32
-
-    step = FULL_TURN / rays
-    for ray, distance in enumerate(ranges.tolist()):
-        gaps = angles_between(-math.pi + ray * step, bearings)
-        near = distances[gaps <= gaps.min() + 1e-5]
-        near = np.where((near == 0.0) | (near > 10.0), INF, np.where(near < 0.1, -INF, near))
-        if gaps.min() > step + 1e-5:
-            assert distance == INF
-        elif gaps.min() < step - 1e-5:
-            assert np.isclose(distance, near, atol=1e-6).any()
+    """Rays are at -pi, -pi / 2, 0 and pi / 2. Each measurement may fill the two rays beside it."""
+    bearings = np.array([0.1, -0.3, 1.5, 3.0])
+    revolution = Revolution(bearings, np.array(distances), np.zeros(4), 1.0)
+    scan = make_scan(revolution, 0.1, 10.0, angle_min=-math.pi, rays=4)
+    assert np.asarray(scan.ranges).tolist() == ranges
+    assert np.asarray(scan.ranges).dtype == np.float32
+    dense = make_scan(revolution, 0.0, 100.0, angle_min=0.0, rays=60)
+    assert np.isfinite(dense.ranges).sum() == 2 * np.count_nonzero(distances)
 
 
 def test_make_scan_of_a_part_of_a_turn_keeps_density_and_rate() -> None:
@@ -190,21 +172,21 @@ def test_make_scan_of_a_part_of_a_turn_keeps_density_and_rate() -> None:
     times = 5.0 + np.arange(241.0) * 0.1 / 360.0
     scan = make_scan(Revolution(bearings, np.full(241, 2.0), times, times[-1]), 0.1, 5.0)
     assert np.shape(scan.ranges) == (360,)
-    assert scan.angle_min == pytest.approx(-120.0 * DEGREE)
+    assert scan.angle_min == pytest.approx(bearings[-1])
     assert np.isfinite(scan.ranges).sum() == pytest.approx(241, abs=2)
     assert scan.scan_time == pytest.approx(0.1, rel=1e-3)
     assert scan.stamp == pytest.approx(times[-1], abs=1e-6)
 
 
 def test_make_scan_keeps_its_grid() -> None:
-    first, second = (
-        Revolution(start - np.arange(360.0) * DEGREE, np.ones(360), np.arange(360.0) / 3600.0, 0.1)
-        for start in (0.0, 3.2 * DEGREE)
-    )
-    scan = make_scan(first, 0.1, 5.0)
-    rays = np.size(scan.ranges)
-    following = make_scan(second, 0.1, 5.0, angle_min=scan.angle_min, rays=rays)
-    assert (following.angle_min, following.angle_max) == (scan.angle_min, scan.angle_max)
+    def turn(start: float) -> Revolution:
+        bearings = np.radians(start - np.arange(360.0))
+        return Revolution(bearings, np.ones(360), np.arange(360.0) / 3600.0, 0.1)
+
+    scan = make_scan(turn(0.0), 0.1, 5.0)
+    following = make_scan(turn(3.2), 0.1, 5.0, angle_min=scan.angle_min, rays=360)
+    assert following[:2] == scan[:2]
+    assert following.angle_max == scan.angle_max
     assert following.time_increment == pytest.approx(scan.time_increment)
     assert following.stamp == pytest.approx(scan.stamp + 3.2 / 3600.0, abs=1e-6)
 
@@ -214,4 +196,4 @@ def test_make_scan_of_one_moment_has_no_times() -> None:
     scan = make_scan(still, 0.1, 5.0)
     assert (scan.time_increment, scan.scan_time, scan.stamp) == (0.0, 0.0, 5.0)
     with pytest.raises(LidarError, match="no measurements: check the LiDAR"):
-        make_scan(Revolution(np.zeros(0), np.zeros(0), np.zeros(0), 5.0), 0.1, 5.0)
+        make_scan(Revolution._make([*np.zeros((3, 0)), 5.0]), 0.1, 5.0)

@@ -53,9 +53,6 @@ def test_arrivals_of_a_real_drive_are_recorded_and_replays(
     between = [t for t in episode.wire.got_stamps.tolist() if round(t, 9) not in ends]
     assert len(between) > 30  # bytes arrived during the periods, not at their ends
     assert episode.stamps[-1] == end
-    assert math.isnan(episode.truth[-1, 0])
-    assert math.isnan(episode.lateness[0])
-    assert (episode.lateness[1:] >= 0.0).all()
     assert episode.wire.sent[-1].endswith(encode(ZERO, trailing_comma=CONFIG.trailing_comma))
     wall_clock = episode.offset + round(episode.start * 1e9)
     assert abs(wall_clock - time.time_ns()) < 60e9

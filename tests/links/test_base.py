@@ -10,6 +10,7 @@ import pytest
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import SafetyWarning
 from acsar_gym.links.base import LinkWrapper
+from acsar_gym.links.factory import is_device
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
@@ -30,12 +31,11 @@ def test_wrapper_has_each_ability_of_its_link() -> None:
 
 
 @pytest.mark.parametrize(
-    ("url", "is_real"),
-    [("planar", False), ("bullet", False), ("/dev/ttyUSB0", True), ("ros2:/robot", True)],
+    ("url", "is_real"), [("planar", False), ("/dev/ttyUSB0", True), ("ros2:/robot", True)]
 )
 def test_links_know_whether_their_wheels_are_real(url: str, is_real: bool) -> None:
-    assert open_link(url).is_real is is_real
-    assert LinkWrapper(open_link(url)).is_real is is_real
+    assert is_device(url) is LinkWrapper(open_link(url)).is_real is is_real
+    assert LinkWrapper(open_link(url)).device == (url if is_real else "")
 
 
 def test_replay_of_a_real_drive_is_not_real(
@@ -47,14 +47,12 @@ def test_replay_of_a_real_drive_is_not_real(
     robot = Robot(open_link(shared_device, config), config, recorder=Recorder(tape))
     with pytest.warns(SafetyWarning, match="doesn't stop by itself"):
         robot.activate()
-    for _ in range(10):
-        robot.drive(0.1, 0.0)
+    robot.drive(0.1, 0.0)
     robot.close()
 
     link = ReplayLink(tape)
     with Robot(link, config) as robot:
-        for _ in range(10):
-            robot.drive(0.1, 0.0)
+        robot.drive(0.1, 0.0)
         assert link.lateness is not None
         assert not link.is_real
         robot.estop()
@@ -63,16 +61,11 @@ def test_replay_of_a_real_drive_is_not_real(
 
 
 def test_debug_log_has_each_line_with_its_time(caplog: pytest.LogCaptureFixture) -> None:
-    with Robot(open_link("planar")) as robot:
-        robot.drive(0.1, 0.0)
-    assert not caplog.records
-
-    with (
-        caplog.at_level(logging.DEBUG, logger="acsar_gym.wire"),
-        Robot(open_link("planar")) as robot,
-    ):
-        robot.drive(0.1, 0.0)
-        stamp = robot.wire.stamp
-    messages = [record.getMessage() for record in caplog.records]
-    assert any(message.startswith(f"{stamp:.4f} received b'ap") for message in messages)
-    assert any(message.startswith(f"{stamp - 0.01:.4f} sent b'ap") for message in messages)
+    for level in (logging.INFO, logging.DEBUG):
+        assert not caplog.records
+        caplog.set_level(level, logger="acsar_gym.wire")
+        with Robot(open_link("planar")) as robot:
+            robot.drive(0.1, 0.0)
+            stamp = robot.wire.stamp
+    assert f"{stamp:.4f} received b'ap" in caplog.text
+    assert f"{stamp - 0.01:.4f} sent b'ap" in caplog.text

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import math
 import statistics
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from recording_tools import taped
 from serial_tools import no_leak, open_files
-from tapes import taped
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError
 from acsar_gym.links.faults import Faults, FaultyLink
-from acsar_gym.protocol import ZERO, Decoder, Reading, encode
+from acsar_gym.protocol import ZERO, Decoder, encode
 from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
@@ -51,24 +52,17 @@ every_link = pytest.mark.parametrize("make_link", ALL, indirect=True)
 every_live_link = pytest.mark.parametrize("make_link", LIVE, indirect=True)
 
 
-def answers(link: Link, command: bytes, expected: Callable[[Reading], bool]) -> bool:
-    """Whether the expected line comes while a command is held. Every line is a valid one."""
+def answers(link: Link, command: bytes) -> bool:
+    """Whether the wheels follow a command. Every line must be valid."""
     decoder = Decoder()
     for _ in range(PATIENCE):
         link.write(command)
-        readings = decoder.feed(link.advance(PERIOD))
+        for reading in decoder.feed(link.advance(PERIOD)):
+            speeds = reading.over(ZERO)
+            if min(speeds) > 1.0 if command == TURNING else max(map(abs, speeds)) < 0.1:
+                return True
         assert not decoder.refused
-        if any(map(expected, readings)):
-            return True
     return False
-
-
-def stands(reading: Reading) -> bool:
-    return max(abs(speed or 0.0) for speed in reading.speeds) < 0.1
-
-
-def turns(reading: Reading) -> bool:
-    return min(speed or 0.0 for speed in reading.speeds) > 1.0
 
 
 @every_link
@@ -76,8 +70,8 @@ def test_link_sends_valid_lines_and_commands_turn_the_wheels(make_link: MakeLink
     link = make_link()
     link.open()
     link.reset(Scene())
-    assert answers(link, encode(ZERO), stands)
-    assert answers(link, TURNING, turns)
+    assert answers(link, encode(ZERO))
+    assert answers(link, TURNING)
     link.close()
 
 
@@ -116,13 +110,11 @@ def test_link_clock_follows_the_periods_and_never_runs_back(make_link: MakeLink)
     steps = [end - start for start, end in itertools.pairwise(stamps)]
     assert min(steps) >= 0.0
     assert stamps[-1] - stamps[0] >= 57 * PERIOD
-    median = statistics.median(steps)
-    assert median > 0.5 * PERIOD
-    assert median < 2.0 * PERIOD or link.is_real
+    assert 0.5 < statistics.median(steps) / PERIOD < (math.inf if link.is_real else 2.0)
 
 
 @every_link
-def test_link_opened_and_closed_twice(make_link: MakeLink) -> None:
+def test_link_opened_and_closed_twice_is_an_error_to_use_while_closed(make_link: MakeLink) -> None:
     with no_leak():
         link = make_link()
         with pytest.raises(LinkError):
@@ -135,19 +127,10 @@ def test_link_opened_and_closed_twice(make_link: MakeLink) -> None:
             link.open()
             assert open_files() == files
             link.reset(Scene())
-            assert answers(link, encode(ZERO), stands)
-            link.open()
-            link.advance(PERIOD)
+            assert answers(link, encode(ZERO))
             link.close()
             link.close()
-
-
-@every_link
-@pytest.mark.parametrize("use", ["write", "advance"])
-def test_link_used_while_closed_is_an_error(make_link: MakeLink, use: str) -> None:
-    link = make_link()
-    link.open()
-    link.reset(Scene())
-    link.close()
-    with pytest.raises(LinkError, match=r"open|reset"):
-        link.write(TURNING) if use == "write" else link.advance(PERIOD)
+            with pytest.raises(LinkError, match=r"open|reset"):
+                link.write(TURNING)
+            with pytest.raises(LinkError, match=r"open|reset"):
+                link.advance(PERIOD)

@@ -25,12 +25,8 @@ def refusal(*chunks: bytes) -> BoardSilentError:
 
 @pytest.mark.parametrize(
     ("chunk", "shown"),
-    [
-        (b"\xf1\x80\x02\xff", r"'\xf1\x80\x02\xff'"),
-        (b"left 0.50 right 0.51\r\n", "'left 0.50 right 0.51'"),
-        (b"z" * 500, "'" + "z" * 40 + "'..."),
-    ],
-    ids=["noise", "another protocol", "long"],
+    [(b"\xf1 0.50 \r\n", r"'\xf1 0.50 '"), (b"z" * 500, "'" + "z" * 40 + "'...")],
+    ids=["another protocol", "long"],
 )
 def test_handshake_with_a_garbled_board_is_quoted_with_what_was_expected(
     chunk: bytes, shown: str
@@ -74,11 +70,10 @@ class Board:
     ("board", "echoes"),
     [
         (Board(), False),
-        (Board(b"> " + ECHO_PROBE + b",\n"), True),
-        (Board(ZEROS, ECHO_PROBE + b"\r", ZEROS), True),
+        (Board(ZEROS, b"> " + ECHO_PROBE + b"\r", ZEROS), True),
         (Board(ECHO_PROBE + b"\r\n", feedback=b""), True),
     ],
-    ids=["sound", "with a prompt", "among feedback", "nothing but echo"],
+    ids=["sound", "among feedback", "nothing but echo"],
 )
 def test_echo_is_refused(board: Board, echoes: bool) -> None:
     refused = pytest.raises(LinkError, match=r"^/dev/ttyX: this board echoes: .*delete the echo")
@@ -86,9 +81,7 @@ def test_echo_is_refused(board: Board, echoes: bool) -> None:
         check_no_echo(board.write, board.read, "/dev/ttyX", RobotConfig())
 
 
-@pytest.mark.parametrize(
-    "remainder", [b"ap05.00,bp0", b"ap05.0\x00\xf8", b"ap05\r\nready, v1.2\r\n"]
-)
+@pytest.mark.parametrize("remainder", [b"ap05.00,bp0", b"ap05\r\nready, v1.2\r\n"])
 def test_silence_of_a_board_that_was_reset(remainder: bytes) -> None:
     decoder = Decoder()
     decoder.feed(ZEROS * 10 + remainder)

@@ -25,18 +25,22 @@ def test_joint_speeds_are_found_by_name_among_other_joints() -> None:
     assert sides.read(["l", "r"], [], [2.0, 1.0], 0.0) == (1.0, 2.0, 2.0, 1.0)
 
 
-@pytest.mark.parametrize("velocities", [[], [NAN] * 4])
+WITHOUT_VELOCITIES = pytest.mark.parametrize("velocities", [[], [NAN] * 4])
+
+
+@WITHOUT_VELOCITIES
 def test_joint_positions_replace_missing_velocities(velocities: list[float]) -> None:
     reader = JointReader(FOUR)
+    turned = [100.5, -0.5, 0.0, 1.0]
     assert reader.read(FOUR, [100.0, 0.0, 0.0, 0.0], velocities, 1.0) is None
     assert not reader.refused
-    assert reader.read(FOUR, [100.5, -0.5, 0.0, 1.0], velocities, 1.5) == (1.0, -1.0, 0.0, 2.0)
+    assert reader.read(FOUR, turned, velocities, 1.5) == (1.0, -1.0, 0.0, 2.0)
     assert reader.read(["arm"], [7.0], [], 1.6) is None
-    assert reader.read(FOUR, [100.5, -0.5, 0.0, 1.0], [NAN, 1.0, 1.0, 1.0], 1.7) is None
-    assert reader.read(FOUR, [101.5, -0.5, 0.0, 1.0], velocities, 2.5) == (1.0, 0.0, 0.0, 0.0)
+    assert reader.read(FOUR, turned, [NAN, 1.0, 1.0, 1.0], 1.7) is None
+    assert reader.read(FOUR, [101.5, *turned[1:]], velocities, 2.5) == (1.0, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("velocities", [[], [NAN] * 4])
+@WITHOUT_VELOCITIES
 def test_joint_messages_without_velocities_are_refused_once_there_were_some(
     velocities: list[float],
 ) -> None:
@@ -50,13 +54,11 @@ def test_joint_messages_without_velocities_are_refused_once_there_were_some(
     assert reader.read(FOUR, [5.1] * 4, SPEEDS, 1.02) == SPEEDS
 
 
-@pytest.mark.parametrize("speed", [-8.0, 25.0])
-@pytest.mark.parametrize("first", [-math.pi, 0.0])
+@pytest.mark.parametrize(("speed", "first"), [(-8.0, 0.0), (25.0, -math.pi)])
 def test_joint_positions_may_wrap_at_full_turns(speed: float, first: float) -> None:
     reader = JointReader(FOUR)
-    span = math.tau
     for message in range(500):
-        position = (0.02 * speed * message - first) % span + first
+        position = (0.02 * speed * message - first) % math.tau + first
         speeds = reader.read(FOUR, [position] * 4, [], 0.02 * message)
         assert message == 0 or speeds == pytest.approx((speed,) * 4)
 
@@ -70,32 +72,24 @@ def test_joint_encoders_that_were_reset_are_refused_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "velocities", "stamp", "kind", "reason"),
+    ("kind", "names", "velocities", "stamp"),
     [
-        (
-            ["fr", "fl", "rr"],
-            [1.0] * 3,
-            2.0,
-            "joint missing",
-            "joint_states has no 'rl' (it has 'fr', 'fl', 'rr')",
-        ),
-        ([*FOUR, "rl"], [1.0] * 5, 2.0, "joint repeated", "names 'rl' 2 times"),
-        (FOUR, [1.0] * 3, 2.0, "wrong length", "4 names and 3 values of velocity"),
-        (FOUR, [1.0, 1.0, NAN, 1.0], 2.0, "not finite", "has nan as the velocity of 'rl'"),
-        (FOUR, [], 2.0, "no numbers", "has neither velocities nor positions"),
-        (FOUR, SPEEDS, 1.0, "stamp", "is stamped 1 s, not after the previous message"),
-        (FOUR, SPEEDS, NAN, "stamp", "stamped nan s"),
-        (FOUR, [1.0, 1.0, 1.0, -1001.0], 2.0, "too fast", "'rr' turns at -1001 rad/s"),
+        ("joint missing", FOUR[:3], SPEEDS[:3], 2.0),
+        ("joint repeated", [*FOUR, "rl"], [1.0] * 5, 2.0),
+        ("wrong length", FOUR, SPEEDS[:3], 2.0),
+        ("not finite", FOUR, [1.0, 1.0, NAN, 1.0], 2.0),
+        ("no numbers", FOUR, [], 2.0),
+        ("stamp", FOUR, SPEEDS, 1.0),
+        ("too fast", FOUR, [1.0, 1.0, 1.0, -1001.0], 2.0),
     ],
 )
 def test_joint_messages_that_are_bad_are_refused_with_one_line(
-    names: list[str], velocities: list[float], stamp: float, kind: str, reason: str
+    kind: str, names: list[str], velocities: list[float], stamp: float
 ) -> None:
     reader = JointReader(FOUR)
     assert reader.read(FOUR, [], SPEEDS, 1.0) == SPEEDS
     assert reader.read(names, [], velocities, stamp) is None
     assert reader.refused == {kind: 1}
-    assert reason in reader.reason
     assert reader.reason.isprintable()
     assert reader.read(FOUR, [], SPEEDS, 3.0) == SPEEDS
     assert reader.reason == ""

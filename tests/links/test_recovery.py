@@ -23,26 +23,25 @@ pytestmark = pytest.mark.usefixtures("deadline")
 
 CURVE = np.array([0.1, 0.1], np.float32)
 
-Step = tuple[Any, float, bool, bool, dict[str, Any]]
-
 
 def name(emulator: Emulated) -> str:
     return str(emulator.log.with_name("usb-acsar"))
 
 
-def made(emulator: Emulated, config: RobotConfig, **options: Any) -> Any:
-    options = {"max_episode_steps": 10**6} | options
+def make_env(emulator: Emulated, config: RobotConfig) -> Any:
+    """An environment in the middle of an episode."""
     device = name(emulator)
-    return gymnasium.make("acsar_gym/PointGoal-v0", link=device, robot=config, **options)
+    env = gymnasium.make(
+        "acsar_gym/PointGoal-v0", link=device, robot=config, max_episode_steps=10**6
+    )
+    env.reset(seed=0)
+    env.step(CURVE)
+    return env
 
 
-def step_until_fault(env: Any) -> Step:
+def step_until_fault(env: Any) -> Any:
     """The step that a fault ends."""
-    for _ in range(200):
-        result: Step = env.step(CURVE)
-        if result[3]:
-            return result
-    raise AssertionError("no fault")
+    return next(result for _ in range(200) if (result := env.step(CURVE))[3])
 
 
 def spoken(emulator: Emulated) -> set[Any]:
@@ -65,33 +64,16 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Emulated]:
 
 
 @pytest.fixture
-def plugged(board: Emulated) -> Iterator[Emulated]:
-    """A robot that is plugged in, with a lasting name."""
+def emulator(board: Emulated) -> Emulated:
+    """A robot at rest that is plugged in, with a lasting name and an empty log."""
     board.plug()
-    yield board
-    board.resume()
-
-
-@pytest.fixture
-def emulator(plugged: Emulated) -> Emulated:
-    """The same at rest, with an empty log."""
-    plugged.forget()
-    return plugged
+    board.forget()
+    return board
 
 
 @pytest.fixture
 def config(config: RobotConfig) -> RobotConfig:
     return config.with_(reconnect_timeout=TIMEOUT)
-
-
-@pytest.fixture
-def env(plugged: Emulated, config: RobotConfig) -> Iterator[Any]:
-    """An environment in the middle of an episode."""
-    env = made(plugged, config)
-    env.reset(seed=0)
-    env.step(CURVE)
-    yield env
-    env.close()
 
 
 def test_interrupt_ends_a_program_that_waits_for_its_cable(emulator: Emulated) -> None:
@@ -115,23 +97,17 @@ robot.activate()
     assert "KeyboardInterrupt" in error
 
 
-def drive_until_error(robot: Robot) -> None:
-    for _ in range(int(TIMEOUT / robot.config.period)):
-        robot.drive(0.2, 0.0)
-
-
 def test_cable_the_same_robot_drives_on_once_the_cable_is_back(
     emulator: Emulated, config: RobotConfig
 ) -> None:
     robot = Robot(open_link(name(emulator), config), config)
     with no_leak():
         robot.activate()
-        drive = robot.wheel_speeds(0.2, 0.0)
-        for _ in range(20):
-            robot.tick(drive)
+        robot.drive(0.2, 0.0)
         emulator.pull()
         with pytest.raises(LinkLostError) as caught:
-            drive_until_error(robot)
+            for _ in range(int(TIMEOUT / robot.config.period)):
+                robot.drive(0.2, 0.0)
         assert name(emulator) in caught.value.found
         assert "\n" not in str(caught.value)
         assert not robot.active
@@ -153,9 +129,10 @@ LOST = 3.0
 
 
 def test_cable_fault_ends_the_episode_with_the_reason_and_the_next_one_starts(
-    env: Any, plugged: Emulated
+    emulator: Emulated, config: RobotConfig
 ) -> None:
-    plugged.pull()
+    env = make_env(emulator, config)
+    emulator.pull()
     observation, reward, terminated, truncated, info = step_until_fault(env)
     assert env.observation_space.contains(observation)
     assert (reward, terminated, truncated) == (0.0, False, True)
@@ -164,24 +141,23 @@ def test_cable_fault_ends_the_episode_with_the_reason_and_the_next_one_starts(
     with pytest.raises(LinkError, match=r"call activate\(\) or env.reset\(\) first"):
         env.step(CURVE)
 
-    plugged.plug()
+    emulator.plug()
     observation, info = env.reset()
     assert env.observation_space.contains(observation)
     assert info["fault"] == 0.0
     assert "fault_reason" not in info
-    assert spoken(plugged) <= {ZERO}
+    assert spoken(emulator) <= {ZERO}
     assert env.step(CURVE)[-1]["fault"] == 0.0
-    plugged.pull()  # between two episodes
-    plugged.plug()
+    emulator.pull()  # between two episodes
+    emulator.plug()
     env.reset()
     assert env.step(CURVE)[-1]["fault"] == 0.0
+    env.close()
 
 
 def test_cable_that_stays_out_is_reported_in_time(emulator: Emulated, config: RobotConfig) -> None:
-    env = made(emulator, config.with_(reconnect_timeout=0.4))
     with no_leak():
-        env.reset(seed=0)
-        env.step(CURVE)
+        env = make_env(emulator, config.with_(reconnect_timeout=0.4))
         emulator.pull()
         step_until_fault(env)
 

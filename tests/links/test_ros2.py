@@ -8,7 +8,6 @@ import pytest
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.links.base import Arrivals, Link
-from acsar_gym.links.factory import is_device
 from acsar_gym.links.ros2 import SLACK, Ros2Link
 from acsar_gym.protocol import ZERO
 from acsar_gym.ros.node import MissingRosError
@@ -17,37 +16,24 @@ from acsar_gym.wire import Wire
 PERIOD = 0.01
 
 
-def make_link(url: str = "ros2") -> Ros2Link:
-    link = open_link(url)
-    assert isinstance(link, Ros2Link)
-    return link
-
-
-def test_ros2_urls_name_a_real_robot() -> None:
-    assert is_device("ros2")
-    assert is_device("ros2:/robot1")
-    assert make_link("ros2:/robot1").device == "ros2:/robot1"
-
-
 @pytest.mark.skipif(find_spec("rclpy") is not None, reason="ROS 2 is installed")
 def test_ros2_that_is_missing_is_one_line() -> None:
     with pytest.raises(MissingRosError, match=r"^ROS 2 can't be used here .*setup\.bash") as raised:
-        Robot(make_link()).activate()
+        Robot(open_link("ros2")).activate()
     assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("begin", [0.0, 0.005, 0.0099])
 def test_ros2_deadlines_come_to_lie_behind_the_feedback(begin: float) -> None:
-    link = make_link()
+    link = Ros2Link("ros2", RobotConfig())
     link._deadline = begin
-    ticks = 300
-    for tick in range(ticks):
+    for tick in range(300):
         arrived = tick * PERIOD
         if arrived > link._deadline:
             arrived -= PERIOD  # that of the tick before
         link._follow_phase(arrived - link._deadline, PERIOD)
         link._deadline += PERIOD
-    phase = (link._deadline - ticks * PERIOD) % PERIOD
+    phase = (link._deadline - 300 * PERIOD) % PERIOD
     assert phase == pytest.approx(SLACK, abs=1e-4)
 
 

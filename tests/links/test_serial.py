@@ -18,36 +18,33 @@ from serial_tools import (
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import BoardGarbledError, BoardSilentError, LinkError, PortBusyError
 from acsar_gym.links import ports
-from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO
 from acsar_gym.worlds import Scene
 
 pytestmark = pytest.mark.usefixtures("deadline")
 
-MISSING = "/dev/acsar-missing"
 NOBODY = 65534
 
 
-def refusal(device: str, config: RobotConfig) -> LinkError:
-    """The error of activating a robot on a bad device, which leaves nothing open behind it."""
+def check_refusal(
+    device: str, config: RobotConfig, kind: type[LinkError] = LinkError, found: str = ""
+) -> None:
+    """Activate a robot on a bad device, which leaves nothing open behind it."""
     robot = Robot(open_link(device, config), config)
     with no_leak():
-        with pytest.raises(LinkError) as caught:
+        with pytest.raises(kind, match=f"{device}.*{found}.*: ") as caught:
             robot.activate()
         robot.close()
+    assert type(caught.value) is kind
+    assert caught.value.exit_code == 3
+    assert "\n" not in str(caught.value)
     assert not robot.active
     with pytest.raises(LinkError, match="closed"):
         robot.link.write(b"")
-    assert device in caught.value.found
-    assert caught.value.fix
-    assert "\n" not in str(caught.value)
-    return caught.value
 
 
 def test_serial_device_that_is_missing(config: RobotConfig) -> None:
-    error = refusal(MISSING, config)
-    assert type(error) is LinkError
-    assert error.exit_code == 3
+    check_refusal("/dev/acsar-missing", config, found="no such device")
 
 
 PERMISSION = f"""
@@ -88,7 +85,7 @@ def test_serial_device_busy_with_another_robot_program(
     code = DRIVER + "robot.activate(); print('ready', flush=True); drive(10**9)"
     with program(code, shared_device) as process:
         assert first_line(process) == "ready"
-        assert type(refusal(shared_device, config)) is PortBusyError
+        check_refusal(shared_device, config, PortBusyError)
     monkeypatch.setattr(ports, "BUSY_TIMEOUT", TIMEOUT)
     with Robot(open_link(shared_device, config), config) as robot:
         assert robot.active
@@ -96,26 +93,22 @@ def test_serial_device_busy_with_another_robot_program(
 
 def test_serial_board_that_is_silent(config: RobotConfig, start_emulator: StartEmulator) -> None:
     silent = start_emulator("--silent")
-    error = refusal(silent.device, config.with_(connect_timeout=0.3))
-    assert type(error) is BoardSilentError
-    assert "no byte" in error.found
+    hasty = config.with_(connect_timeout=0.3)
+    check_refusal(silent.device, hasty, BoardSilentError, "no byte")
     wait_until(lambda: set(silent.commands()) == {ZERO}, "nothing but zero commands")
 
 
 def test_serial_baud_rate_that_is_wrong(config: RobotConfig, shared_device: str) -> None:
-    error = refusal(shared_device, config.with_(baud_rate=57600, connect_timeout=2.0))
-    assert type(error) is BoardGarbledError
-    assert "57600" in error.found
-    assert "115200" in error.fix
+    wrong = config.with_(baud_rate=57600, connect_timeout=2.0)
+    check_refusal(shared_device, wrong, BoardGarbledError, "57600.*115200")
 
 
 def test_serial_lateness_of_a_tick(config: RobotConfig, shared_device: str) -> None:
     with Robot(open_link(shared_device, config), config) as robot:
         link = robot.link
-        assert isinstance(link, SerialLink)
         time.sleep(0.1)
         robot.drive(0.0, 0.0)
-        assert link.lateness >= 0.08
+        assert (link.lateness or 0.0) >= 0.08
         start = link.now()
         for _ in range(10):
             robot.drive(0.0, 0.0)
@@ -130,19 +123,16 @@ def test_serial_feedback_slower_than_the_tick_is_held_and_aged(
     """A board that is frozen says nothing for as long as it takes, however fast it is otherwise."""
     slow = start_emulator("--robot", str(robot_file(firmware={"feedback_rate": 20.0})))
     with Robot(open_link(slow.device, config), config) as robot:
-        robot.drive(0.2, 0.0)
-        while robot.feedback_age > 0.0:
+        for _ in range(2):
             robot.drive(0.2, 0.0)
+            while robot.feedback_age > 0.0:
+                robot.drive(0.2, 0.0)
 
-        slow.pause()
-        held = 0
-        ages = [0.0]
-        while held <= 5:
-            speeds = robot.speeds
-            robot.drive(0.2, 0.0)
-            ages.append(robot.feedback_age)
-            held = held + 1 if ages[-1] > ages[-2] and robot.speeds == speeds else 0
-
-        slow.resume()
-        while robot.feedback_age > 0.0:
-            robot.drive(0.2, 0.0)
+            slow.pause()
+            held = 0
+            while held <= 5:
+                speeds = robot.speeds
+                age = robot.feedback_age
+                robot.drive(0.2, 0.0)
+                held = held + 1 if robot.feedback_age > age and robot.speeds == speeds else 0
+            slow.resume()

@@ -6,7 +6,7 @@ import math
 
 import pytest
 import stopping
-from watchdog_tools import HASTY
+from processes import HASTY
 
 from acsar_gym import RobotConfig
 

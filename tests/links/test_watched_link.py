@@ -14,9 +14,8 @@ from pathlib import Path
 
 import psutil
 import pytest
-from processes import first_line, program
+from processes import HASTY, TURNING, ZEROS, children, first_line, program
 from serial_tools import BRIDGE, DRIVER, TIMEOUT, Emulated, no_leak, wait_until
-from watchdog_tools import HASTY, TURNING, ZEROS, children
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
@@ -30,41 +29,41 @@ from acsar_gym.worlds import Scene
 pytestmark = pytest.mark.usefixtures("deadline")
 
 
+hasty = pytest.mark.parametrize("watchdog_timeout", [HASTY])
+
+
 @pytest.fixture
-def link(
-    shared_device: str, config: RobotConfig, request: pytest.FixtureRequest
-) -> Iterator[SerialLink]:
-    """An open link. Its watchdog trips soon if a test uses `hasty`, otherwise never."""
-    timeout = HASTY if "hasty" in request.fixturenames else 60.0
-    link = SerialLink(shared_device, config.with_(watchdog_timeout=timeout))
+def watchdog_timeout() -> float:
+    """The watchdog trips soon in a test that is marked as `hasty`, otherwise never."""
+    return 60.0
+
+
+@pytest.fixture
+def link(shared_device: str, config: RobotConfig, watchdog_timeout: float) -> Iterator[SerialLink]:
+    link = SerialLink(shared_device, config.with_(watchdog_timeout=watchdog_timeout))
     link.open()
     link.reset(Scene())
     yield link
     link.close()
 
 
-@pytest.fixture
-def hasty(link: SerialLink) -> SerialLink:
-    return link
-
-
 @pytest.mark.parametrize(
-    ("platform", "timeout", "warning"),
+    ("is_posix", "timeout", "warning"),
     [
-        ("posix", 60.0, "^this robot's board doesn't stop by itself"),
-        ("posix", None, r"no watchdog \(watchdog_timeout: null\)"),
-        ("windows", 60.0, r"no watchdog \(not on this system"),
+        (True, 60.0, "^this robot's board doesn't stop by itself"),
+        (True, None, r"no watchdog \(watchdog_timeout: null\)"),
+        (False, 60.0, r"no watchdog \(not on this system"),
     ],
 )
 def test_first_reset_warns_if_nothing_stops_the_board(
-    platform: str,
+    is_posix: bool,
     timeout: float | None,
     warning: str,
     shared_device: str,
     config: RobotConfig,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", platform == "posix")
+    monkeypatch.setattr(watchdog, "WATCHDOG_AVAILABLE", is_posix)
     config = config.with_(firmware={"command_timeout": None}, watchdog_timeout=timeout)
     robot = Robot(open_link(shared_device, config), config)
     for _ in range(2):  # also after closing
@@ -74,22 +73,17 @@ def test_first_reset_warns_if_nothing_stops_the_board(
         robot.close()
 
 
-def test_link_does_not_open_if_the_watchdog_cannot_start(
+def test_link_that_fails_or_is_closed_or_dropped_leaves_no_process(
     shared_device: str, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "executable", "/bin/false")
-    link = SerialLink(shared_device, config)
-    with no_leak(), pytest.raises(LinkError, match="watchdog can't be started") as caught:
-        link.open()
-    assert "watchdog_timeout=None" in caught.value.fix
-    assert not children()
-
-
-def test_link_that_is_closed_or_dropped_leaves_no_process(
-    shared_device: str, config: RobotConfig
 ) -> None:
     link = SerialLink(shared_device, config)
     with no_leak():
+        monkeypatch.setattr(sys, "executable", "/bin/false")
+        with pytest.raises(LinkError, match=r"watchdog can't be started .*watchdog_timeout=None"):
+            link.open()
+        assert not children()
+
+        monkeypatch.undo()
         for _ in range(5):
             link.open()
             assert link.watchdog.is_alive
@@ -114,25 +108,26 @@ def test_watchdog_holds_only_the_port_and_ignores_the_terminal(link: SerialLink)
     assert dog.status() != psutil.STATUS_STOPPED
 
 
-def test_link_sends_only_zeros_between_a_trip_and_the_reset(hasty: SerialLink) -> None:
+@hasty
+def test_link_sends_only_zeros_between_a_trip_and_the_reset(link: SerialLink) -> None:
     start = time.monotonic()
-    hasty.write(TURNING)
-    wait_until(lambda: hasty.watchdog.has_tripped, "a trip")
+    link.write(TURNING)
+    wait_until(lambda: link.watchdog.has_tripped, "a trip")
     for _ in range(2):
         with pytest.raises(LinkError, match=r"nothing was commanded for [0-9]+ ms") as caught:
-            hasty.write(TURNING)
-        pause = float(caught.value.found.removesuffix(" ms").rpartition(" ")[2])
-        assert 1000.0 * HASTY <= pause <= 1000.0 * (time.monotonic() - start) + 1.0
-        hasty.write(encode(ZERO))
-        hasty.advance(0.01)
+            link.write(TURNING)
+        pause = float(caught.value.found.split()[-2])
+        assert HASTY <= pause / 1000.0 <= time.monotonic() - start + 0.001
+        link.write(encode(ZERO))
+        link.advance(0.01)
 
-    hasty.reset(Scene())
-    assert not hasty.watchdog.has_tripped
-    hasty.write(TURNING)
-    hasty.write(encode(ZERO))
+    link.reset(Scene())
+    assert not link.watchdog.has_tripped
+    link.write(TURNING)
+    link.write(encode(ZERO))
 
 
-@pytest.mark.parametrize("stop", ["zero", "stop", "reset"])
+@pytest.mark.parametrize("stop", ["write", "stop", "reset"])
 def test_heartbeat_of_reading_and_standstill_needs_none(stop: str, link: SerialLink) -> None:
     link.write(TURNING)
     beat = link.watchdog.page[BEAT]
@@ -140,33 +135,30 @@ def test_heartbeat_of_reading_and_standstill_needs_none(stop: str, link: SerialL
     link.read_now()
     assert link.watchdog.page[BEAT] > beat
 
-    if stop == "zero":
-        link.write(encode(ZERO))
-    elif stop == "stop":
-        link.stop()
-    else:
-        link.reset(Scene())
+    stops = {"write": (encode(ZERO),), "stop": (), "reset": (Scene(),)}
+    getattr(link, stop)(*stops[stop])
     link.read_now()
     assert link.watchdog.page[BEAT] == 0.0
 
 
+@hasty
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
 def test_watchdog_that_is_dead_or_suspended_stops_the_robot_and_is_replaced(
-    end: signal.Signals, hasty: SerialLink
+    end: signal.Signals, link: SerialLink
 ) -> None:
-    hasty.write(TURNING)
+    link.write(TURNING)
     (dog,) = children()
     dog.send_signal(end)
     with pytest.raises(LinkError, match=r"has ended|hasn't run for"):
         for _ in range(200):
-            hasty.write(TURNING)
-            hasty.advance(0.01)
+            link.write(TURNING)
+            link.advance(0.01)
 
-    hasty.write(encode(ZERO))
-    hasty.reset(Scene())
-    assert hasty.watchdog.is_alive
-    assert hasty.watchdog.pid != dog.pid
-    hasty.write(TURNING)
+    link.write(encode(ZERO))
+    link.reset(Scene())
+    assert link.watchdog.is_alive
+    assert link.watchdog.pid != dog.pid
+    link.write(TURNING)
 
 
 def test_close_and_the_command_of_another_thread_is_sent_before_the_zeros_or_not_at_all(

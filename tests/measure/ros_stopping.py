@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import psutil
-from processes import Program, first_line, nursery, program
+from processes import PRELOADED, Program, first_line, program
 from ros_tools import FOREIGN_ROBOT
 from serial_tools import HEEDING_CTRL_C, start
 from stopping import FAULT_JITTER, LIMIT, MAX_STARTS, Stops, find_stop, list_commands, report
@@ -38,7 +38,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkError
 from acsar_gym.testing import wait_until
 
-PRELOADED = ("acsar_gym.tools.cli", "acsar_gym.tools.ros.driver", "acsar_gym.testing", "rclpy")
+PRELOADED += ["acsar_gym.tools.ros.driver", "rclpy"]
 SIGNALS = {
     "term": signal.SIGTERM,
     "kill": signal.SIGKILL,
@@ -272,7 +272,7 @@ def measure(trials: int, kinds: Sequence[Kind] = KINDS) -> Iterator[Stops]:
         LinkError: Watchdogs of a kind go on after it.
     """
     os.environ[MARK] = str(os.getpid())
-    with tempfile.TemporaryDirectory(prefix="acsar-ros-stopping-") as folder, nursery(*PRELOADED):
+    with tempfile.TemporaryDirectory(prefix="acsar-ros-stopping-") as folder:
         for kind in kinds:
             times = [repeat_trial(kind, Path(folder)) for _ in range(trials)]
             wait_until(lambda: not list_watchdogs(), "watchdogs that end", STOP_TIMEOUT)
@@ -305,7 +305,6 @@ def count_interrupts(trials: int) -> int:
     stops = 0
     with (
         tempfile.TemporaryDirectory(prefix="acsar-ros-stopping-") as folder,
-        nursery(*PRELOADED),
         Processes(Path(folder)) as processes,
     ):
         _, file, _ = processes.run_robot("foreign")

@@ -23,7 +23,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from processes import Program, first_line, nursery, program
+from processes import Program, first_line, program
 from rich.console import Console
 from rich.table import Table
 from serial_tools import Emulated, start
@@ -172,7 +172,7 @@ def measure(
         if board is None:
             options += ["--robot", str(robot_file)]
         emulated = start(Path(folder, "log.jsonl"), *options, board=board)
-        with contextlib.closing(emulated), nursery():
+        with contextlib.closing(emulated):
             for kind in kinds:
                 times = [_time_stop(kind, emulated, device, robot_file) for _ in range(trials)]
                 yield Stops(kind, times)

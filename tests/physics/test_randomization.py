@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from varied import RANGES
+from scenes import RANGES
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError

@@ -13,8 +13,15 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from bag_tools import JOINTS, Bag, make_bag, without_velocities, write_folder, write_mcap
-from recording_tools import drive
+from recording_tools import (
+    JOINTS,
+    Bag,
+    drive,
+    make_bag,
+    without_velocities,
+    write_folder,
+    write_mcap,
+)
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from acsar_gym import RobotConfig

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from mover_tools import HALL
 from recording_tools import record_env
+from scenes import HALL
 
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import read

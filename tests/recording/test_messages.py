@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mover_tools import HALL
 from recording_tools import drive, record_env
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
+from scenes import HALL
 
 from acsar_gym import RobotConfig
 from acsar_gym.recording import read

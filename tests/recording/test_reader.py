@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.writer import Writer
-from mover_tools import HALL
 from recording_tools import drive, record_env
+from scenes import HALL
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, LinkLostError, RecordingWarning

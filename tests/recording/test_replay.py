@@ -8,9 +8,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from mover_tools import HALL
-from recording_tools import drive
-from tapes import TtyReplayLink, playing, taped
+from recording_tools import TtyReplayLink, drive, playing, taped
+from scenes import HALL
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.envs.ids import full_id

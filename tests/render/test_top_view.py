@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image as Pillow
-from top_view_tools import COURT, FRAME
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError
@@ -26,10 +25,22 @@ from acsar_gym.render.top_view import (
     SEEN_COLOURS,
     RgbImage,
     TopView,
+    TopViewFrame,
     place_points,
     save_picture,
 )
+from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.movers import walk
+
+COURT = World(
+    circles=np.array([[2.0, 1.0, 0.25], [3.25, -1.5, 0.5]]),
+    segments=np.array([[-1.0, -2.5, 5.0, -2.5], [-1.0, 2.5, 5.0, 2.5]]),
+    start=Region(0.0, 0.0, 0.0, 0.0),
+    goal=Region(4.0, 0.25, 0.25),
+    name="court",
+)
+FRAME = TopViewFrame(world=COURT, goal=(4.0, 0.25), goal_radius=0.25)
+
 
 Point = tuple[float, float]
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from acsar_gym import RobotConfig
@@ -39,8 +37,7 @@ def test_limit_twist_stops_at_once_and_forgets_the_ramp() -> None:
 
     assert limit(0.0, x=0.0, age=0.0) == SafetyMemory()
     assert limit(0.3, x=0.0, age=0.09) == SafetyMemory(reason=Reason.STALE_FEEDBACK)
-    outside = SafetyMemory(latched=Reason.GEOFENCE, reason=Reason.GEOFENCE)
-    assert limit(0.3, x=2.0, age=0.0) == outside
+    assert limit(0.3, x=2.0, age=0.0) == SafetyMemory(Reason.GEOFENCE, Reason.GEOFENCE)
 
 
 def send(wanted: list[float], **limits: float) -> list[float]:
@@ -58,11 +55,7 @@ def send(wanted: list[float], **limits: float) -> list[float]:
         ({}, [9.0, -9.0, 0.0], [9.0, -9.0, 0.0]),
         ({"max_velocity": 0.5, "min_velocity": -0.1}, [2.0, -2.0], [0.5, -0.1]),
         ({"max_acceleration": 2.0}, [0.05] * 4, [0.02, 0.04, 0.05, 0.05]),
-        (
-            {"max_acceleration": 200.0, "min_acceleration": -5.0},
-            [1.0, 0.0, 0.0],
-            [1.0, 0.95, 0.9],
-        ),
+        ({"max_acceleration": 2e2, "min_acceleration": -5.0}, [1.0, 0.0, 0.0], [1.0, 0.95, 0.9]),
         # As in the ROS controller, the ramp's slope grows by 2 * jerk * dt^2 a tick.
         ({"max_jerk": 100.0}, [1.0] * 5, [0.02, 0.06, 0.12, 0.2, 0.3]),
     ],
@@ -75,7 +68,7 @@ def test_limit_velocity(limits: dict[str, float], wanted: list[float], sent: lis
 def test_limit_velocity_in_both_directions(sign: float) -> None:
     """As ROS 2 Jazzy: forward at 2, braking at 5. Backward at 1, braking at 4, with any sign."""
     sent = send(
-        [1.0] * 60 + [0.0] * 30 + [-1.0] * 120 + [0.0] * 40,
+        [1.0] * 60 + [0.0] * 30 + [-1.0] * 120 + [0.0] * 2,
         max_acceleration=2.0,
         max_deceleration=-5.0 * sign,
         max_acceleration_reverse=-1.0 * sign,
@@ -87,17 +80,8 @@ def test_limit_velocity_in_both_directions(sign: float) -> None:
     assert sent[210:212] == pytest.approx([-0.96, -0.92])
 
 
-@pytest.mark.parametrize(
-    ("fields", "named"),
-    [
-        ({"linear_limits": {"max_decelaration": 1.0}}, "did you mean 'max_deceleration'"),
-        (
-            {"linear_limits": {"max_deceleration": -2.0, "min_acceleration": -2.0}},
-            "linear_limits.min_acceleration",
-        ),
-        ({"geofence": {"min_x": 1.0}}, "geofence"),
-    ],
-)
-def test_limits_that_are_wrong_are_an_error(fields: dict[str, Any], named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
-        RobotConfig(**fields)
+def test_limits_that_contradict_each_other_are_an_error() -> None:
+    with pytest.raises(ConfigError, match=r"linear_limits\.min_acceleration"):
+        RobotConfig(linear_limits={"max_deceleration": -2.0, "min_acceleration": -2.0})
+    with pytest.raises(ConfigError, match="geofence"):
+        RobotConfig(geofence={"min_x": 1.0})  # away from where the robot starts

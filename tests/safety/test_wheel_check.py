@@ -80,9 +80,8 @@ def test_wheel_with_a_fault_is_named(
 
 
 def test_wheel_sides_that_are_swapped_are_named() -> None:
-    for twist in (LEFT, ARC, (0.5, -0.75)):
-        _, error = find_fault(board("swapped sides"), twist)
-        assert "answers front_" in str(error)
+    for twist in (LEFT, (0.5, -0.75)):
+        assert "answers front_" in str(find_fault(board("swapped sides"), twist)[1])
 
 
 def test_wheel_error_in_ros_names_the_joints() -> None:
@@ -104,8 +103,7 @@ ROBOTS: dict[str, tuple[RobotConfig, dict[str, Any], float]] = {
     "acsar": (ACSAR, {}, 10.0),
     "jackal": (JACKAL, {}, 20.0),
     "husky": (RobotConfig.preset("husky"), {}, 5.0),
-    "overshooting": (ACSAR, {}, 100.0),
-    "deadband": (ACSAR, {"motor": {"deadband": 1.5}}, 100.0),
+    "overshooting": (ACSAR, {"motor": {"deadband": 1.5}}, 100.0),
     "slow": (
         ACSAR,
         {
@@ -174,45 +172,25 @@ def test_wheel_check_of_stops_and_pauses() -> None:
 
 def test_wheel_check_can_be_switched_off() -> None:
     """A batch has no such check, and the single env must do the same."""
-    links: list[tuple[Link, bool]] = [
-        (board("dead"), False),
-        (boards.board("dead-wheel=a", robot=ACSAR), True),
-    ]
-    for link, wheel_check in links:
-        with Robot(link, ACSAR.with_(wheel_check=wheel_check)) as robot:
-            for _ in range(100):
-                robot.drive(*AHEAD)
+    with Robot(board("dead"), ACSAR.with_(wheel_check=False)) as robot:
+        for _ in range(100):
+            robot.drive(*AHEAD)
 
 
 def test_wheel_fault_truncates_the_episode() -> None:
     env = gymnasium.make("acsar_gym/PointGoal-v0", link=board("reversed", wheel=1))
     env.reset(seed=0)
-    for _ in range(10):
-        *_, truncated, info = env.step(np.array([0.6, 0.0], np.float32))
-        if truncated:
-            break
+    steps = (env.step(np.array([0.6, 0.0], np.float32)) for _ in range(10))
+    info = next(info for *_, truncated, info in steps if truncated)
     assert info["fault"] == 6.0
     assert "front_left turns backward" in info["fault_reason"]
     env.close()
 
 
 @pytest.mark.usefixtures("deadline")
-@pytest.mark.parametrize(
-    ("quirks", "message"),
-    [
-        (("feedback-factor=0", "feedback-rate=10"), "all wheels stand still"),
-        (("dead-wheel=c", "feedback-rate=20"), "rear_left stands still"),
-    ],
-)
-def test_wheel_check_of_slow_feedback(
-    quirks: tuple[str, ...], message: str, start_emulator: StartEmulator, config: RobotConfig
-) -> None:
-    """Over a pseudo-terminal, at rates that the robot's file doesn't contain."""
-    emulator = start_emulator("--quirk", *quirks)
-    with (
-        Robot(open_link(emulator.device, config), config) as robot,
-        pytest.raises(WheelError, match=message),
-    ):
-        for _ in range(500):
-            robot.drive(*AHEAD)
+def test_wheel_check_of_slow_feedback(start_emulator: StartEmulator, config: RobotConfig) -> None:
+    """Over a pseudo-terminal, at a rate that the robot's file doesn't contain."""
+    emulator = start_emulator("--quirk", "feedback-factor=0", "feedback-rate=10")
+    error = find_fault(open_link(emulator.device, config), AHEAD, config)[1]
+    assert "all wheels stand still" in str(error)
     wait_until(emulator.is_stopped, "zero as the newest command")

@@ -11,8 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from mover_tools import HALL
-from varied import RANGES
+from scenes import HALL, RANGES
 
 from acsar_gym import RobotConfig
 from acsar_gym.envs import ObstacleGoalVectorEnv, PointGoalVectorEnv

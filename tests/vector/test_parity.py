@@ -8,8 +8,7 @@ import gymnasium
 import numba
 import numpy as np
 import pytest
-from mover_tools import HALL
-from varied import RANGES
+from scenes import HALL, RANGES
 
 from acsar_gym import RobotConfig, State, World
 from acsar_gym.envs.ids import make_vec

@@ -13,9 +13,9 @@ the next 64. The published worlds of BARN are sets of their own, read from a fol
 (and the path if nothing stands or moves). If the generator, or the footprint of the robot that
 worlds are made for, has changed, the hashes differ and the set is refused, because results from it
 couldn't be compared. After a change that is wanted, count up the generator's version in
-CHANGED_VERSIONS and write the hashes again with `tests/record_scenes.py`. Sets of other packages
-have the hash of their first 100 scenes, which is part of each result, and nothing to compare it
-with.
+CHANGED_VERSIONS and write the hashes again with `tests/measure/record_scenes.py`. Sets of other
+packages have the hash of their first 100 scenes, which is part of each result, and nothing to
+compare it with.
 """
 
 from __future__ import annotations

@@ -59,9 +59,8 @@ def train_seeds(options: TrainingOptions) -> dict[int, Score]:
     require_training()
     seeds = parse_seeds(options.seeds or "")
     # One thread for each seed, so that they don't wait for each other.
-    changes = {"seeds": None, "workers": None, "address": None, "progress": False}
-    changes["threads"] = options.threads or 1
-    single = options.model_copy(update=changes)
+    shared = {"seeds": None, "workers": None, "address": None, "progress": False}
+    single = options.model_copy(update={**shared, "threads": options.threads or 1})
     # These raise the errors of all seeds.
     TrainingPlan.of(single)
     make_fleet(single.robot)

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from lidar_tools import start_lidar
-from serial_lidar_tools import Open, Start, open_serial
+from lidar_tools import Open, Start, open_serial, start_lidar
 from serial_tools import Emulated
 
 from acsar_gym.lidar.serial import SerialLidar

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from lidar_tools import Floats, nothing, room
+from lidar_tools import Floats, nothing, room, show_turned, shows_the_room
 from lidar_twins import MAKERS, let_wobble
-from serial_lidar_tools import show_turned, shows_the_room
 
 from acsar_gym.lidar.drivers import find_drivers
 from acsar_gym.lidar.scan import Revolution
@@ -22,31 +21,25 @@ PERIOD = 0.005
 """How often bytes are read [s]."""
 
 
-def make_twin(model: str, look: Look = room, **options: Any) -> LidarTwin:
+def make_twin(model: str, look: Look, **options: Any) -> LidarTwin:
     maker = MAKERS[model]
     twin = maker.twin(look, **{"rate": 10.0, **maker.options, **options})
     twin.receive(maker.scan)
     return twin
 
 
-def make_assembler(model: str) -> RevolutionAssembler:
-    return RevolutionAssembler(find_drivers()[model]())
-
-
-def stream(model: str, look: Look = room, turns: float = 3.6, **options: Any) -> bytes:
-    """Half a turn, which isn't seen, and the bytes of others."""
-    twin = make_twin(model, look, **options)
+def stream(model: str, look: Look = room) -> bytes:
+    """Half a turn, which isn't seen, and the bytes of 3.6 turns."""
+    twin = make_twin(model, look)
     twin.advance(0.05)
-    return b"".join(twin.advance(PERIOD) for _ in range(round(turns * 0.1 / PERIOD)))
+    return b"".join(twin.advance(PERIOD) for _ in range(72))
 
 
-def turns_of(model: str, data: bytes, size: int = 10_000) -> list[Revolution]:
-    assembler = make_assembler(model)
-    return [
-        turn
-        for at in range(0, len(data), size)
-        for turn in assembler.feed(data[at : at + size], at * 1e-5)
-    ]
+def turns_of(model: str, data: bytes, size: int = 10_000, yaw: float = 0.0) -> list[Revolution]:
+    """The revolutions from bytes that arrive in pieces of a size."""
+    assembler = RevolutionAssembler(find_drivers()[model](), yaw)
+    pieces = [data[at : at + size] for at in range(0, len(data), size)]
+    return [turn for k, piece in enumerate(pieces) for turn in assembler.feed(piece, k * 1e-2)]
 
 
 @every_maker
@@ -58,13 +51,9 @@ def test_assembler_makes_whole_turns_of_any_pieces(model: str, size: int) -> Non
 
 
 def test_assembler_turns_bearings_by_the_yaw_of_the_lidar() -> None:
-    straight, turned = (
-        RevolutionAssembler(find_drivers()["ld06"](), yaw).feed(stream("ld06"), 1.0)[0]
-        for yaw in (0.0, 1.5)
-    )
-    gaps = turned.bearings - straight.bearings - 1.5
-    assert np.exp(1j * gaps) == pytest.approx(1.0)
-    assert np.abs(turned.bearings).max() <= math.pi
+    straight, turned = (turns_of("ld06", stream("ld06"), yaw=yaw)[0].bearings for yaw in (0.0, 1.5))
+    assert np.exp(1j * (turned - straight - 1.5)) == pytest.approx(1.0)
+    assert np.abs(turned).max() <= math.pi
 
 
 @every_maker
@@ -106,25 +95,21 @@ def test_assembler_interpolates_bearings_of_failed_measurements(model: str) -> N
         assert np.degrees(np.abs(show_turned(turn)).max()) < 2.0
 
 
-def reads(twin: LidarTwin, seconds: float, jitter: float, baud: float) -> list[tuple[float, bytes]]:
-    """Bytes that a reader gets which is late by up to `jitter` [s], and when."""
+def read_late(twin: LidarTwin, jitter: float, baud: float) -> Iterator[tuple[float, bytes]]:
+    """Yield bytes as they come to a reader that is late by up to `jitter` [s], and when."""
     rng = np.random.default_rng(1)
-    now = 0.0
     due = PERIOD
     sent = waiting = b""
-    pieces: list[tuple[float, bytes]] = []
-
-    while now < seconds:
+    for tick in range(1, 1250):
+        now = 0.002 * tick
         sent += twin.advance(0.002)
         count = int(min(baud / 10.0 * 0.002, len(sent)))
         waiting += sent[:count]
         sent = sent[count:]
-        now += 0.002
         if now >= due:
-            pieces.append((now, waiting))
+            yield now, waiting
             waiting = b""
             due = now + PERIOD + float(rng.choice([0.0, rng.uniform(0.0, jitter)]))
-    return pieces
 
 
 @every_maker
@@ -136,25 +121,16 @@ def test_assembler_times_each_measurement(
     model: str, wobble: float, jitter: float, slow: bool
 ) -> None:
     """Whether its bytes come one after the other, as through a slow wire, or all at once."""
-    clock = 0.0
 
     def tell_time(bearings: Floats, ages: Floats) -> Floats:
-        return 1.0 + (clock - ages) % 3.0
+        return 1.0 + (twin._now - ages) % 3.0
 
     rate = 4.5 if model == "neato" else 6.0  # its wire carries no more than 5.8
     twin = make_twin(model, tell_time, rate=rate)
     let_wobble(twin, wobble)
-    advance: Callable[[float], bytes] = twin.advance
-
-    def tick(dt: float) -> bytes:
-        nonlocal clock
-        clock += dt
-        return advance(dt)
-
-    twin.advance = tick  # type: ignore[method-assign]
-    assembler = make_assembler(model)
+    assembler = RevolutionAssembler(find_drivers()[model]())
     turns = 0
-    for now, data in reads(twin, 2.5, jitter, MAKERS[model].baud if slow else math.inf):
+    for now, data in read_late(twin, jitter, MAKERS[model].baud if slow else math.inf):
         for turn in assembler.feed(data, now):
             turns += 1
             late = (turn.times + 1.0 - turn.distances + 1.5) % 3.0 - 1.5

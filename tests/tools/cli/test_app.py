@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bag_tools import make_bag, write_mcap
 from cli_tools import assert_one_line
-from recording_tools import drive
+from policy_tools import save
+from recording_tools import drive, make_bag, write_mcap
 from serial_tools import RobotFile
-from zip_tools import save
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import RecordingWarning

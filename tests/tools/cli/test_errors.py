@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 from cli_tools import assert_one_line
+from policy_tools import save
 from recording_tools import drive
-from zip_tools import save
 
 from acsar_gym import RobotConfig
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from boards import make_link, parse_quirks
-from rollout_tools import HIDDEN, random_steps
+from sysid_tools import HIDDEN, random_steps
 
 from acsar_gym import Robot, RobotConfig, links, open_link
 from acsar_gym.links import Link

@@ -8,14 +8,26 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from board_tools import board, examined
+from boards import board
 from integer_board import SIBLING, IntegerLink, NoTrailingComma
 
 from acsar_gym import Link, Robot, RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
 from acsar_gym.protocol import WHEELS
+from acsar_gym.tools.commission.board_checks import BoardExamination
+from acsar_gym.tools.commission.checks import Check
 from acsar_gym.tools.commission.wiring import parse_seen
 from acsar_gym.worlds import Pose
+
+
+def examined(
+    link: Link, saw: Sequence[str] | None = None, config: RobotConfig | None = None
+) -> tuple[BoardExamination, dict[str, Check]]:
+    """Examine a board. Returns the examination and its rows by name."""
+    turned = None if saw is None else parse_seen(saw)
+    examination = BoardExamination(config or RobotConfig(), spin=True, seen=turned)
+    return examination, {row.name: row for row in examination.run(link)}
+
 
 SLOW_BOARD = {
     "motor": {"time_constant": 0.3, "deadband": 0.9, "acceleration": 10.0},

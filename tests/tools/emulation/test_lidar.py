@@ -15,19 +15,16 @@ from acsar_gym.tools.emulation.board import LIDAR_SAMPLES, Emulator
 from acsar_gym.worlds import Scene, World
 from acsar_gym.worlds.geometry import measure_ranges
 from acsar_gym.worlds.movers import walk
+from acsar_gym.worlds.world import make_rectangle
 
-ROOM = World(
-    np.zeros((0, 3)),
-    np.array([[-2, -1, 3, -1], [3, -1, 3, 2], [3, 2, -2, 2], [-2, 2, -2, -1]], float),
-)
+ROOM = World(segments=make_rectangle(-2.0, -1.0, 3.0, 2.0))
 LOOPS = 200
 LOOP = 0.005
 """Period of the firmware's loop [s]."""
 
 
 def open_raw(device: str | None) -> int:
-    assert device is not None
-    port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    port = os.open(device or "", os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(port)
     return port
 
@@ -61,11 +58,9 @@ def test_lidar_measures_from_where_the_robot_was() -> None:
 
     def errors(when: np.ndarray) -> np.ndarray:
         heading = np.interp(when, ends, theta)
-        cos = np.cos(heading)
-        sin = np.sin(heading)
-        place_x = np.interp(when, ends, x) + cos * 0.1 + sin * 0.05
-        place_y = np.interp(when, ends, y) + sin * 0.1 - cos * 0.05
-        return np.abs(measured - measure_ranges((place_x, place_y), bearings + heading, ROOM))
+        place = np.interp(when, ends, x + 1j * y) + (0.1 - 0.05j) * np.exp(1j * heading)
+        exact = measure_ranges((place.real, place.imag), bearings + heading, ROOM)
+        return np.abs(measured - exact)
 
     assert errors(times).max() < 0.003
     assert errors(np.ceil(times / LOOP - 1e-9) * LOOP).max() > 0.01
@@ -78,15 +73,12 @@ def test_lidar_meets_movers_where_they_were() -> None:
     world = World(movers=(walker,))
     bearings = np.linspace(-1.2, 1.2, 49)
     ages = np.linspace(LOOP, 0.0, 49)
-    met = 0
 
     with Emulator(config, scene=Scene(world=world), sees=True) as emulator:
         for loop in range(1, 400):
             emulator.run_loop()
-            ranges = emulator._look(bearings, ages)
             places = np.array([[walker.position(loop * LOOP - age)] for age in ages.tolist()])
             expected = measure_ranges((0.0, 0.0), bearings, world, places)
-            met += np.isfinite(expected).sum()
             if loop > 20:  # until then it stands
-                assert ranges == pytest.approx(expected, abs=1e-6)
-    assert met > 1000
+                assert emulator._look(bearings, ages) == pytest.approx(expected, abs=1e-6)
+                assert np.isfinite(expected).any()

@@ -89,14 +89,11 @@ def test_intervals() -> None:
     assert high - low == pytest.approx(4.0 / math.sqrt(200), rel=0.15)  # 2 * 1.96 sigma
 
 
-NO_TIMES = dict.fromkeys(("p50", "p99", "worst"), math.nan)
-
-
 def test_summarise_episodes_joins_round_trips() -> None:
     """The percentiles are those of all trips."""
-    nothing = TickTiming(ticks=0, late_ticks=0, missed_ticks=0, **NO_TIMES)
+    nothing = TickTiming(ticks=0, late_ticks=0, p99=math.nan, worst=math.nan)
     trips = [(0.04,), (), (*[0.05] * 17, 0.06, 0.08, 0.2)]
-    timings = [EpisodeTiming(nothing, math.nan, times) for times in trips]
+    timings = [EpisodeTiming(nothing, times) for times in trips]
     summary = summarise_episodes([result(timing=timing) for timing in timings])
     assert (summary.round_trip, summary.round_trips) == (0.05, 21)
     assert count_cells(summary)["round trip"] == "50 ms, 95 % 80 ms, of 21"

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from onnx_tools import ENV_ID, GOOD, changed, document_of, fitting, relabelled
+from policy_tools import ENV_ID, GOOD, changed, document_of, fitting, relabelled
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import AcsarWarning, PolicyError

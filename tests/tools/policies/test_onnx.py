@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from onnx_tools import ENV_ID, GOOD, HOSTILE, counting, dense, network, relabelled
+from policy_tools import ENV_ID, GOOD, HOSTILE, counting, dense, network, relabelled
 
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from zip_tools import NAMES, PLACES, algorithms, poison, save
+from policy_tools import NAMES, PLACES, algorithms, poison, save
 
 from acsar_gym.errors import ConfigError, PolicyError
 from acsar_gym.tools.evaluation import runs

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from calibration_tools import ACSAR, line_wheels, spin_wheels
+from sysid_tools import ACSAR, line_wheels, spin_wheels
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.links import open_link

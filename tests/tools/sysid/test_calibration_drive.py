@@ -6,7 +6,7 @@ import itertools
 import math
 
 import pytest
-from calibration_tools import ACSAR
+from sysid_tools import ACSAR
 
 from acsar_gym import RobotConfig
 from acsar_gym.config import Geofence

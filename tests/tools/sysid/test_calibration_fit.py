@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from calibration_tools import (
+from sysid_tools import (
     ACSAR,
     circle_wheels,
     draw_wheels,

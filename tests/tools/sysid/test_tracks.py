@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rollout_tools import HIDDEN, driven, random_steps, recording
+from sysid_tools import HIDDEN, driven, random_steps, recording
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError

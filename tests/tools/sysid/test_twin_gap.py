@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rollout_tools import HIDDEN, driven, random_steps, recording
+from sysid_tools import HIDDEN, driven, random_steps, recording
 
 from acsar_gym import RobotConfig
 from acsar_gym.config import Measured

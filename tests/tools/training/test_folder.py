@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from disk_tools import full_disk
-from training_tools import tiny
+from policy_tools import tiny
 
 from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.tools.policies import OnnxPolicy

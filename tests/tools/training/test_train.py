@@ -13,8 +13,8 @@ import numpy as np
 import psutil
 import pytest
 import yaml
+from policy_tools import tiny
 from serial_tools import CLI, TIMEOUT
-from training_tools import tiny
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun
-from mover_tools import HALL
 from recording_tools import drive, record_env
 from rerun.chunk import RrdReader
+from scenes import HALL
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError
