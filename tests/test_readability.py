@@ -73,7 +73,7 @@ class Counts(NamedTuple):
 
 MOST = {
     "physics": Counts(0, 0, 3, 0),
-    "recording": Counts(0, 0, 0, 2),
+    "recording": Counts(0, 0, 0, 1),
     "safety": Counts(0, 0, 0, 1),
     "tasks": Counts(0, 0, 0, 4),
     "tools/commission": Counts(0, 0, 0, 2),

@@ -44,11 +44,14 @@ class PlanarBody(Body):
             self._record,
             dt,
         )
+
+        # Semi-implicit: the pose follows from the new velocity.
         vx, vy, rate = self._velocity
         self._pose = (x + vx * dt, y + vy * dt, theta + rate * dt)
 
     def feel(self) -> None:
         """Check whether the footprint touches an obstacle now."""
+        # A contact is remembered until the reset, so it is looked for once.
         if self._crowded and not self._touched:
             x, y, theta = self._pose
             cos = math.cos(theta)

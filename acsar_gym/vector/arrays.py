@@ -256,9 +256,10 @@ def make_spawns(task: Task, worlds: Sequence[World], kinds: Sequence[Kind]) -> l
             places = slice(kind.worlds.start, kind.worlds.stop)
             order[places] = kind.worlds.start + kind.pool.by_difficulty[0]
 
+    # A start without a heading has NaN.
     starts = [world.start for world in worlds]
-    goals = [world.goal for world in worlds]
     headings = [math.nan if start.theta is None else start.theta for start in starts]
+    goals = [(world.goal.x, world.goal.y, world.goal.radius) for world in worlds]
     paths = [path_from_start(world) for world in worlds] if task.follows else []
     return layout.Spawns(
         min_distance=float(nearest),
@@ -267,7 +268,7 @@ def make_spawns(task: Task, worlds: Sequence[World], kinds: Sequence[Kind]) -> l
             [(s.x, s.y, s.radius, theta) for s, theta in zip(starts, headings, strict=True)],
             layout.START,
         ),
-        goals=np.array([(goal.x, goal.y, goal.radius) for goal in goals], layout.GOAL),
+        goals=np.array(goals, layout.GOAL),
         lengths=np.array([world.length for world in worlds], np.float64),
         paths=pad_rows(paths, (0.0, 0.0, 0.0)),
         samples=np.array([len(samples) for samples in paths], np.int64),

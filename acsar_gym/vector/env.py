@@ -232,8 +232,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.batch.reset(mask, self._threads.share)
         self._done = self._done & ~mask
         self._is_intact = True
-        if self._screen is not None:
-            self._screen.show(self.batch)
         return self.batch.tables.observations.copy(), self._info(mask)
 
     def set_options(self, options: Mapping[str, Any]) -> None:
@@ -311,8 +309,6 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
             info = self._final_info(self._done)
             batch.reset(self._done, self._threads.share)
         self._is_intact = True
-        if self._screen is not None:
-            self._screen.show(batch)
         info |= self._info(np.ones(self.num_envs, np.bool_))
         return tables.observations.copy(), rewards, terminated, truncated, info
 

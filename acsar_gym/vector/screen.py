@@ -25,7 +25,6 @@ LARGEST_SIDE = 1920
 SMALLEST_SIDE = 64
 EMPTY_COLOUR = (231, 233, 236)
 Image = NDArray[np.uint8]  # (height, width, 3), RGB
-Point = tuple[float, float]
 
 
 def check_render_mode(mode: Any) -> str | None:
@@ -41,78 +40,62 @@ def check_render_mode(mode: Any) -> str | None:
 
 
 class BatchScreen:
-    """Records the paths of a batch's first robots and draws them on request."""
+    """Draws the first robots of a batch.
+
+    Args:
+        fleet: Configurations. Robot i of the batch has number i % len(fleet).
+        robots: Number of robots.
+        tolerance: Radius of goals [m].
+    """
 
     def __init__(self, fleet: Sequence[RobotConfig], robots: int, tolerance: float) -> None:
-        self._fleet = fleet
-        self._robots = robots
-        self._tolerance = tolerance
+        from acsar_gym.render.top_view import TopView  # noqa: PLC0415 - needs Pillow
+
+        self._arguments = (fleet, robots, tolerance)
 
         # All pictures together fit into a video, whose sides have to be even.
         columns = math.isqrt(robots - 1) + 1
         side = min(TILE_SIDE, max(SMALLEST_SIDE, LARGEST_SIDE // columns // 2 * 2))
-        self._size = (side, side)
-        self._views: list[Any] = []
-        self._odom_paths: list[list[Point]] = [[] for _ in range(min(robots, MAX_PICTURES))]
-        self._true_paths: list[list[Point]] = [[] for _ in self._odom_paths]
+        self._configs = [fleet[robot % len(fleet)] for robot in range(min(robots, MAX_PICTURES))]
+        self._views = [TopView(config, (side, side)) for config in self._configs]
+        empty = np.full((side, side, 3), EMPTY_COLOUR, np.uint8)
+        self._rest = [empty] * (robots - len(self._views))
+        self._tolerance = tolerance
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Copy the settings only: a copy has no recorded paths."""
-        return BatchScreen, (self._fleet, self._robots, self._tolerance)
-
-    def show(self, batch: Batch) -> None:
-        """Record where the robots are now."""
-        for robot in range(len(self._odom_paths)):
-            odom_path = self._odom_paths[robot]
-            true_path = self._true_paths[robot]
-            if batch.tables.blocks[0]["steps"][robot] == 0.0:
-                odom_path.clear()
-                true_path.clear()
-            odom_path.append(_pose_in_world(batch, robot, "odom_x", "odom_y")[:2])
-            true_path.append(_pose_in_world(batch, robot, "true_x", "true_y")[:2])
+        """Copies have views of their own, because pictures of Pillow can't be copied."""
+        return BatchScreen, self._arguments
 
     def pictures(self, batch: Batch) -> tuple[Image, ...]:
         """Draw the newest states, a picture (height, width, 3) for each robot of the batch."""
-        from acsar_gym.render.top_view import TopView  # noqa: PLC0415 - needs Pillow
-
-        drawn = range(len(self._odom_paths))
-        if not self._views:
-            kinds = [self._fleet[robot % len(self._fleet)] for robot in drawn]
-            self._views = [TopView(config, self._size) for config in kinds]
-        empty = np.full((*self._size, 3), EMPTY_COLOUR, np.uint8)
-        pictures = [self._draw(batch, robot) for robot in drawn]
-        return (*pictures, *[empty] * (self._robots - len(drawn)))
+        return (*(self._draw(batch, robot) for robot in range(len(self._views))), *self._rest)
 
     def _draw(self, batch: Batch, robot: int) -> Image:
-        """Draw one robot."""
         from acsar_gym.render.top_view import TopViewFrame  # noqa: PLC0415 - needs Pillow
 
-        config = self._fleet[robot % len(self._fleet)]
-        world = int(batch.tables.blocks[0]["world"][robot])
-        steps = batch.tables.blocks[0]["steps"][robot]
-        ranges = batch.tables.ranges[robot]
+        config = self._configs[robot]
+        robots = batch.tables.blocks[0]
+        world = int(robots["world"][robot])
         angles = ray_spec(config).angles()
+        ranges = batch.tables.ranges[robot]
         frame = TopViewFrame(
             world=batch.worlds[world] if batch.worlds else None,
-            odom=_pose_in_world(batch, robot, "odom_x", "odom_y", "odom_theta"),
-            truth=_pose_in_world(batch, robot, "true_x", "true_y", "theta"),
-            goal=_pose_in_world(batch, robot, "goal_x", "goal_y")[:2],
+            odom=_pose_in_world(robots, robot, "odom_x", "odom_y", "odom_theta"),
+            truth=_pose_in_world(robots, robot, "true_x", "true_y", "theta"),
+            goal=_pose_in_world(robots, robot, "goal_x", "goal_y", "theta")[:2],
             goal_radius=self._tolerance,
-            odom_path=self._odom_paths[robot],
-            true_path=self._true_paths[robot],
             rays=(angles, ranges[: len(angles)]) if len(ranges) else None,
             reach=config.lidar.max_range,
             movers=batch.copy_movers(robot, world),
-            caption=f"{robot}: step {steps:.0f}",
+            caption=f"{robot}: step {robots['steps'][robot]:.0f}",
         )
         image: Image = np.array(self._views[robot].draw(frame), np.uint8)
         image[-1, :] = image[:, -1] = EMPTY_COLOUR  # between tiles
         return image
 
 
-def _pose_in_world(batch: Batch, robot: int, *names: str) -> Pose:
-    """A pose in the frame of a robot's world, from the fields of its place, and of its heading."""
-    robots = batch.tables.blocks[0]
+def _pose_in_world(robots: NDArray[Any], robot: int, *names: str) -> Pose:
+    """A pose in the frame of a robot's world, from these fields in its odometry frame."""
     fields = ("start_x", "start_y", "start_theta", *names)
     x, y, theta, *pose = [float(robots[name][robot]) for name in fields]
-    return to_world((x, y, theta), (pose[0], pose[1], pose[2] if len(pose) > 2 else 0.0))
+    return to_world((x, y, theta), (pose[0], pose[1], pose[2]))

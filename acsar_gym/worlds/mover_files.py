@@ -22,7 +22,7 @@ from acsar_gym.worlds.movers import Mover, Repeat, follow_keys, walk
 
 FORMS: tuple[tuple[Any, set[str], set[str]], ...] = (
     (walk, {"points"}, {"speed", "pauses"}),
-    (follow_keys, {"points", "times"}, {"smooth", "tension"}),
+    (follow_keys, {"points", "times"}, {"smooth"}),
     (partial(Mover, repeat=Repeat.LOOP), {"pieces", "duration"}, set()),
 )
 """What makes a mover, the fields that it needs, and those that it may have."""
@@ -38,7 +38,6 @@ class MoverFile(Section):
     pauses: Any = None
     times: Any = None
     smooth: bool | None = None
-    tension: float | None = None
     pieces: Any = None
     duration: float | None = None
     repeat: Literal["stop", "back", "loop"] | None = None

@@ -11,6 +11,7 @@ the robot and from other people, see `crowd`.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -236,7 +237,6 @@ def follow_keys(
     points: ArrayLike,
     *,
     smooth: bool = False,
-    tension: float = 0.0,
     repeat: Repeat = Repeat.LOOP,
     name: str = "",
     **options: Any,
@@ -249,10 +249,9 @@ def follow_keys(
         times: (n,), at least two, growing, the first one not negative [s].
         points: (n, 2), in the frame of the world [m].
         smooth: Whether the points lie on a spline, as Gazebo's animations do, or on straight lines.
-            In each piece the spline is a cubic Hermite polynomial, whose tangents are
-            (1 - tension) / 2 times the step between the neighbours of a point, also at the ends
-            of a closed one, whose first and last points are the same (gz-math, src/Spline.cc).
-        tension: Tension of the spline, 0 to 1. With 1 the mover stops at every point.
+            In each piece the spline is a cubic Hermite polynomial, whose tangents are half the
+            step between the neighbours of a point, also at the ends of a closed one, whose first
+            and last points are the same (gz-math, src/Spline.cc, without tension).
         repeat: What follows at the last time. With LOOP the mover jumps to the first point.
         name: Name of the mover.
         **options: Other fields of `Mover`, such as radius=0.3, phase=2.0, reacts=True.
@@ -286,7 +285,7 @@ def follow_keys(
         previous = places[-2 if is_closed else 0]
         following = places[1 if is_closed else -1]
         around = np.array([previous, *places, following])
-        tangents = (1.0 - tension) / 2.0 * (around[2:] - around[:-2])
+        tangents = 0.5 * (around[2:] - around[:-2])
         leave = tangents[:-1]
         arrive = tangents[1:]
         bends = (3.0 * steps - 2.0 * leave - arrive) / lengths**2
@@ -351,33 +350,30 @@ def pad_rows(rows: Sequence[Floats], unused: Sequence[float]) -> Floats:
 
 def make_motions(crowds: Sequence[Sequence[Mover]]) -> Motions:
     """Make the arrays of the movers of each of some worlds."""
-    rows = []
+    worlds = []
     pieces = []
     for movers in crowds:
-        first = 0
-        for mover in movers:
-            # Pieces of all movers of a world lie one behind the other.
-            count = len(mover.pieces)
-            rows.append(
-                [  # in the order of the columns
-                    mover.radius,
-                    mover.repeat,
-                    first,
-                    count,
-                    mover.duration,
-                    1.0 / mover.cycle,
-                    mover.phase,
-                    mover.spread,
-                    mover.reacts,
-                    mover.sees_robot,
-                    mover.top_speed,
-                ]
-            )
-            first += count
+        # Pieces of all movers of a world lie one behind the other.
+        ends = itertools.accumulate(len(mover.pieces) for mover in movers)
+        rows = [
+            [  # in the order of the columns
+                mover.radius,
+                mover.repeat,
+                end - len(mover.pieces),
+                len(mover.pieces),
+                mover.duration,
+                1.0 / mover.cycle,
+                mover.phase,
+                mover.spread,
+                mover.reacts,
+                mover.sees_robot,
+                mover.top_speed,
+            ]
+            for mover, end in zip(movers, ends, strict=True)
+        ]
+        worlds.append(np.array(rows, np.float64).reshape(-1, MOVER_NUMBERS))
         pieces.append(np.concatenate([np.zeros((0, PIECE_NUMBERS)), *(m.pieces for m in movers)]))
 
-    ends = np.cumsum(list(map(len, crowds)), dtype=int)[:-1]
-    worlds = np.split(np.array(rows, np.float64).reshape(-1, MOVER_NUMBERS), ends)
     padded = pad_rows(worlds, [-1.0] * MOVER_NUMBERS)
     reacting = np.any(padded[:, :, REACTS] > 0.0, axis=1)
     return Motions(padded, pad_rows(pieces, [0.0] * PIECE_NUMBERS), reacting)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from acsar_gym.config import EncoderConfig, FirmwareConfig, RobotConfig
+from acsar_gym.config import RobotConfig
 from acsar_gym.physics.firmware import Firmware
 from acsar_gym.physics.planar import PlanarBody
 from acsar_gym.protocol import ZERO, Decoder, Speeds, encode
@@ -14,8 +16,8 @@ TICK = 0.01
 FORWARD: Speeds = (8.0, 8.0, 8.0, 8.0)
 
 
-def board(config: RobotConfig | None = None) -> tuple[Firmware, PlanarBody]:
-    config = config or RobotConfig()
+def board(**options: Any) -> tuple[Firmware, PlanarBody]:
+    config = RobotConfig(**options)
     body = PlanarBody(config)
     return Firmware(config, body), body
 
@@ -34,7 +36,7 @@ def drive(firmware: Firmware, line: bytes, ticks: int) -> bytes:
 
 @pytest.mark.parametrize("rate", [10.0, 100.0])
 def test_feedback_comes_unasked_and_has_the_speed_that_was_commanded(rate: float) -> None:
-    firmware, _ = board(RobotConfig(firmware=FirmwareConfig(feedback_rate=rate)))
+    firmware, _ = board(firmware={"feedback_rate": rate})
     answer = b"".join(firmware.advance(TICK) for _ in range(100))
     assert abs(answer.count(b"\r\n") - rate) <= 2.0
     assert set(speeds_of(answer)) == {ZERO}
@@ -45,8 +47,7 @@ def test_feedback_comes_unasked_and_has_the_speed_that_was_commanded(rate: float
 @pytest.mark.parametrize(("delay", "motion"), [(0.0, 6), (0.0012, 7), (0.0373, 43)])
 def test_command_delay_is_exact_to_the_loop(delay: float, motion: int) -> None:
     """The line takes 2.95 ms and its processing 1.25 ms. A loop period is 1 ms."""
-    config = RobotConfig(firmware=FirmwareConfig(loop_rate=1000.0, command_delay=delay))
-    firmware, body = board(config)
+    firmware, body = board(firmware={"loop_rate": 1000.0, "command_delay": delay})
     firmware.receive(encode(FORWARD))
     loops = 0
     while body.wheel_speeds == ZERO:
@@ -57,7 +58,7 @@ def test_command_delay_is_exact_to_the_loop(delay: float, motion: int) -> None:
 
 @pytest.mark.parametrize("quantum", [0.025, 1.0])
 def test_quantum_divides_the_speeds_that_are_printed(quantum: float) -> None:
-    firmware, body = board(RobotConfig(encoder=EncoderConfig(quantum=quantum, window=0.2)))
+    firmware, body = board(encoder={"quantum": quantum, "window": 0.2})
     answer = speeds_of(drive(firmware, encode((5.03, -4.77, 0.4, 0.0)), 100))
     for speed in (speed for speeds in answer for speed in speeds):
         assert speed is not None
@@ -67,7 +68,7 @@ def test_quantum_divides_the_speeds_that_are_printed(quantum: float) -> None:
 
 @pytest.mark.parametrize("line", [b"", b"xp99.99,ap9.9\r\n"])
 def test_motors_stop_without_valid_commands(line: bytes) -> None:
-    firmware, body = board(RobotConfig(firmware=FirmwareConfig(command_timeout=0.3)))
+    firmware, body = board(firmware={"command_timeout": 0.3})
     drive(firmware, encode(FORWARD), 100)
     drive(firmware, line, 29)
     assert body.wheel_speeds[0] == pytest.approx(8.0)

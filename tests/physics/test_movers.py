@@ -127,22 +127,3 @@ def test_movers_leave_nothing_where_they_were(name: str) -> None:
         assert not link.truth.contact
         link.reset(scene)
     link.close()
-
-
-@ENGINES
-def test_movers_are_in_pictures(name: str) -> None:
-    """In their own colour, violet. The camera looks from behind the robot."""
-    crossing = walk([[2.0, -1.5], [2.0, 8.0]], 4.0, repeat=Repeat.STOP)
-    link = link_in(name, scene_of(crossing))
-    body: Any = link.body
-    counts = []
-    for _ in range(2):
-        red, green, blue = np.moveaxis(body.image(96, 72).astype(int), 2, 0)
-        violet = (red > 1.5 * green) & (blue > 1.1 * red)
-        counts.append([violet[:, side].sum() for side in (slice(48), slice(48, 96))])
-        watch(link, 65)
-
-    before_crossing, after_crossing = counts  # pixels on the left and on the right
-    assert before_crossing[0] < before_crossing[1] > 100
-    assert after_crossing[1] < after_crossing[0] > 100
-    link.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import gymnasium
@@ -13,20 +14,15 @@ from acsar_gym.errors import ConfigError
 from acsar_gym.render.top_view import MOVER_COLOUR
 from acsar_gym.vector.screen import EMPTY_COLOUR, MAX_PICTURES
 
-OPTIONS: dict[str, dict[str, Any]] = {
-    "acsar_gym/PointGoal-v0": {},
-    "acsar_gym/ObstacleGoal-v1": {"worlds": "clutter:3"},
-}
+
+def make(env_id: str = "acsar_gym/ObstacleGoal-v1", robots: int = 3, **options: Any) -> Any:
+    return gymnasium.make_vec(
+        env_id, robots, "vector_entry_point", render_mode="rgb_array", threads=1, **options
+    )
 
 
-def make(env_id: str = "acsar_gym/PointGoal-v0", robots: int = 3, **options: Any) -> Any:
-    options = {"render_mode": "rgb_array", "threads": 1, **OPTIONS.get(env_id, {}), **options}
-    return gymnasium.make_vec(env_id, robots, "vector_entry_point", **options)
-
-
-@pytest.mark.parametrize("env_id", OPTIONS)
-def test_render_draws_a_picture_of_each_robot(env_id: str) -> None:
-    env = make(env_id, robot=["acsar", "jackal", "acsar"])
+def test_render_draws_a_picture_of_each_robot() -> None:
+    env = make(robot=["acsar", "jackal", "acsar"], worlds="clutter:3")
     with pytest.raises(ConfigError, match="reset"):
         env.render()
     env.reset(seed=0)
@@ -35,11 +31,11 @@ def test_render_draws_a_picture_of_each_robot(env_id: str) -> None:
     env.step(np.tile([0.8, 0.3], (3, 1)))
     assert (np.array(env.render()) != first).any(axis=(1, 2, 3)).all()
     env.reset(seed=0)
-    assert (np.array(env.render()) == first).all()
+    assert (np.array(copy.deepcopy(env).render()) == first).all()
 
 
 def test_render_draws_movers() -> None:
-    env = make("acsar_gym/ObstacleGoal-v1", 2, worlds=HALL, max_episode_steps=3)
+    env = make(robots=2, worlds=HALL, max_episode_steps=3)
     env.reset(seed=0)
     first = np.array(env.render()) == MOVER_COLOUR
     assert first.all(axis=3).sum(axis=(1, 2)).min() > 20
@@ -49,7 +45,7 @@ def test_render_draws_movers() -> None:
 
 
 def test_render_draws_the_first_robots() -> None:
-    env = make(robots=300)
+    env = make("acsar_gym/PointGoal-v0", 300)
     env.reset(seed=0)
     pictures = env.render()
     assert len(pictures) == 300

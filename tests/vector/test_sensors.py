@@ -49,13 +49,10 @@ class Gyro(Sensor):
 
 
 class PlainGyro(Gyro):
-    """Isn't compiled, and reports its bias."""
+    """Isn't compiled."""
 
     name = "plain_gyro"
     compiled = False
-
-    def info(self, robots: Any) -> dict[str, Any]:
-        return {"bias": robots.memory.bias}
 
 
 class Drifted(Sensor):
@@ -68,6 +65,9 @@ class Drifted(Sensor):
     def reset(self, robots: Any) -> None:
         for i, scene in enumerate(robots.scenes):
             robots.memory.x[i] = scene.start[0] + robots.rngs[i].normal()
+
+    def info(self, robots: Any) -> dict[str, Any]:
+        return {"readings": robots.memory.readings}
 
     def read(self, robots: Any, out: Any) -> None:
         robots.memory.readings[:] += 1.0
@@ -135,8 +135,6 @@ def test_draws_of_a_sensor_are_those_of_its_generator() -> None:
     assert draw_uniform(rngs, 1) == uniform[0]
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform[1]))
     assert draw_normal(rngs, 1) == radius * math.cos(2.0 * math.pi * uniform[2])
-    drawn = np.array([draw_normal(rngs, 0) for _ in range(20_000)])
-    assert [drawn.mean(), drawn.std(), (drawn**4).mean()] == pytest.approx([0, 1, 3], abs=0.15)
 
 
 class Misnames(Gyro):

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -31,13 +31,8 @@ def test_task_that_is_not_compiled_is_refused() -> None:
         RobotVectorEnv(Backwards)
 
 
-class Weights(NamedTuple):
-    near: float = 0.5
-    distant: float = 2.0
-
-
-class Weighted(Task):
-    """Returns numbers of several types, and reads weights by their names."""
+class Mixed(Task):
+    """Returns numbers of several types."""
 
     observation: ClassVar[Mapping[str, tuple[float, float]]] = {
         "time": (0.0, 9.0),
@@ -45,21 +40,20 @@ class Weighted(Task):
         "moved": (0.0, 1.0),
     }
     compiled = True
-    weights = Weights()
 
     def reward(self, state: State, memory: Any, outcome: Outcome) -> float:
-        return self.weights.distant - self.weights.near
+        return 2
 
     def observe(self, state: State, memory: Any) -> tuple[float, ...]:
         return state.time, 1, state.time > 0.0
 
 
-def test_task_reads_weights_and_returns_any_numbers() -> None:
-    batch = RobotVectorEnv(Weighted, 3)
+def test_task_returns_any_numbers() -> None:
+    batch = RobotVectorEnv(Mixed, 3)
     assert batch.reset(seed=0)[0].tolist() == [[0.0, 1.0, 0.0]] * 3
     observations, rewards, *_ = batch.step(ACTIONS)
     assert observations == pytest.approx(np.array([[0.1, 1.0, 1.0]] * 3))
-    assert rewards.tolist() == [1.5] * 3
+    assert rewards.tolist() == [2.0] * 3
 
 
 USER = """
@@ -159,13 +153,6 @@ def test_task_mistake_in_a_step_is_named_and_a_reset_recovers(
             env.step(action)
 
 
-class Undeclared(Unsound):
-    compiled = True
-
-    def begin(self, state: State, memory: Any) -> None:
-        memory.turns = 0.0
-
-
 class TooFew(Unsound):
     compiled = True
 
@@ -183,7 +170,6 @@ class Untyped(Unsound):
 @pytest.mark.parametrize(
     ("task", "message"),
     [
-        (Undeclared, "turns"),
         (TooFew, "observe returned more or fewer numbers"),
         (Untyped, r"^Untyped: numba can't compile .*reward\(\)\n(.|\n)*nothing"),
     ],

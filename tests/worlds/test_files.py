@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -26,59 +27,49 @@ GOOD: dict[str, Any] = {
     "path": [[0.0, 0.0], [4.0, 0.0]],
 }
 ENDS = "start: {x: 0.0, y: 0.0}\ngoal: {x: 1.0, y: 0.0}\n"
-SUFFIXES = pytest.mark.parametrize("suffix", [".json", ".yaml"])
 
 
-def content(world: World) -> list[object]:
-    """All of a world, to the bit."""
-    arrays = [world.circles, world.segments, world.path, *(m.pieces for m in world.movers)]
-    parts = [None if array is None else (array.shape, array.tobytes()) for array in arrays]
-    names = ("duration", "radius", "repeat", "phase", "spread", "reacts", "sees_robot")
-    fields = [getattr(mover, name) for mover in world.movers for name in names]
-    return [*parts, repr((world.start, world.goal, world.name, fields))]
-
-
-def refused(path: Path, text: str | bytes) -> str:
+def write(path: Path, text: str | bytes) -> Path:
     path.write_bytes(text.encode() if isinstance(text, str) else text)
+    return path
+
+
+def assert_refused(path: Path, text: str | bytes, problem: str) -> None:
     with pytest.raises(WorldError) as caught:
-        load_world(path)
+        load_world(write(path, text))
     message = str(caught.value)
     assert message.startswith(f"{path}: ")
+    assert problem in message
     assert "\n" not in message
-    return message.removeprefix(f"{path}: ")
 
 
-@SUFFIXES
-@pytest.mark.parametrize("kind", ["clutter", "smooth_path", "crowd_reacting", "dynabarn"])
+@pytest.mark.parametrize("suffix", [".json", ".yaml"])
+@pytest.mark.parametrize("kind", ["clutter", "smooth_path", "crowd_reacting"])
 def test_load_world_reads_what_was_saved_bit_for_bit(
     kind: str, suffix: str, tmp_path: Path
 ) -> None:
     world = generate_world(kind, 7)
     save_world(world, tmp_path / f"round{suffix}")
-    assert content(load_world(tmp_path / f"round{suffix}")) == content(world)
+    copied = load_world(tmp_path / f"round{suffix}")
+    with np.printoptions(floatmode="unique", threshold=10**9):
+        assert repr(asdict(copied)) == repr(asdict(world))
 
 
-@pytest.mark.parametrize("suffix", [".json", ".yaml", ".yml"])
-def test_load_world_reads_json_as_yaml_too(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"pillars{suffix}"
-    path.write_text(json.dumps(GOOD), encoding="utf-8")
-    world = load_world(path)
+def test_load_world_reads_json_as_yaml_too(tmp_path: Path) -> None:
+    world = load_world(write(tmp_path / "pillars.yml", json.dumps(GOOD)))
     assert world.name == "three pillars"
-    assert world.circles.tolist() == [[2.0, 0.3, 0.1], [3.0, -0.4, 0.1]]
-    assert world.segments.tolist() == [[0.0, 1.0, 4.0, 1.0]]
+    assert world.circles.tolist() == GOOD["circles"]
+    assert world.segments.tolist() == GOOD["segments"]
     assert (world.start, world.goal) == (Region(0.0, 0.0, 0.1, 0.5), Region(4.0, 0.0, 0.25))
     assert world.length == 4.0
 
 
 def test_load_world_needs_only_start_and_goal(tmp_path: Path) -> None:
-    path = tmp_path / "Empty.YAML"
-    path.write_text(f"\ufeff{ENDS}path: null\n", encoding="utf-8")
-    world = load_world(path)
+    world = load_world(write(tmp_path / "Empty.YAML", f"\ufeff{ENDS}path: null\n"))
     assert (world.obstacles, world.path, world.name) == (0, None, "Empty")
     assert (world.start, world.goal) == (Region(0.0, 0.0), Region(1.0, 0.0))
 
 
-@SUFFIXES
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
@@ -86,36 +77,27 @@ def test_load_world_needs_only_start_and_goal(tmp_path: Path) -> None:
         ({"start": None}, "start: {x: 0.0, y: 0.0}"),
         ({"goal": {"x": 0, "y": 0, "theta": 1}}, "goal.theta"),
         ({"circles": [[1, 10**99, 2]]}, "circles: must be finite numbers of at most 10000"),
-        ({"circles": [[0, 0, 0]] * 20_001}, "at most 20,000"),
     ],
 )
 def test_load_world_refuses_bad_fields(
-    suffix: str, changes: dict[str, Any], problem: str, tmp_path: Path
+    changes: dict[str, Any], problem: str, tmp_path: Path
 ) -> None:
-    assert problem in refused(tmp_path / f"bad{suffix}", json.dumps({**GOOD, **changes}))
+    assert_refused(tmp_path / "bad.json", json.dumps({**GOOD, **changes}), problem)
 
 
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
         ("bad.json", "{", "not valid JSON"),
-        ("bad.json", "[1, 2]", "must be a mapping with name"),
         ("bad.json", b" " * (files.MAX_TEXT_BYTES + 1), "larger than 5 MB"),
         ("bad.yaml", ENDS + "circles: [[.nan, 0, 1]]", "circles: must be finite numbers"),
+        ("bad.png", ENDS, "read from .world, .sdf, .yaml, .yml, .json"),
     ],
 )
 def test_load_world_refuses_bad_texts(
     name: str, text: str | bytes, problem: str, tmp_path: Path
 ) -> None:
-    assert problem in refused(tmp_path / name, text)
-
-
-def test_other_suffixes_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "map.png"
-    with pytest.raises(WorldError, match=r"read from \.world, \.sdf, \.yaml, \.yml, \.json"):
-        load_world(path)
-    with pytest.raises(WorldError, match=r"saved as \.json, \.yaml or \.yml"):
-        save_world(World(), path)
+    assert_refused(tmp_path / name, text, problem)
 
 
 def test_load_folder_reads_worlds_in_natural_order(tmp_path: Path) -> None:
@@ -125,11 +107,10 @@ def test_load_folder_reads_worlds_in_natural_order(tmp_path: Path) -> None:
     for number, name in enumerate(names):
         save_world(World(name=str(number)), tmp_path / name)
     for name in ("README.md", "path_2.npy", ".hidden.json", "map.pgm"):
-        (tmp_path / name).write_text("no world", encoding="utf-8")
+        write(tmp_path / name, "no world")
     assert [world.name for world in load_folder(tmp_path)] == list("01234")
-    for name in ("nowhere", "2.json"):
-        with pytest.raises(WorldError, match=f"{name}: can't be read: No"):
-            load_folder(tmp_path / name)
+    with pytest.raises(WorldError, match="nowhere: can't be read: No"):
+        load_folder(tmp_path / "nowhere")
 
 
 # Movers
@@ -150,7 +131,6 @@ def test_parse_movers_reads_what_people_write() -> None:
     ball = parse(duration=4.0, pieces=[[0, 0, 1, 0, 0, 0, 0, 0.5, 0]], repeat="stop")
     assert ball.position(9.0) == (4.0, 8.0)
     guard = parse(points=[[3, -1]], reacts=True, sees_robot=False)
-    assert guard.position(5.0) == (3.0, -1.0)
     assert (guard.reacts, guard.sees_robot) == (True, False)
     assert parse(points=[[0, 0], [9, 0]]).top_speed == pytest.approx(WALKING_SPEED)
     smooth = parse(times=[0, 1, 2], points=[[0, 0], [1, 0], [1, 1]], smooth=True)
@@ -163,17 +143,17 @@ def test_parse_movers_reads_what_people_write() -> None:
         ({"point": [[0, 0]]}, "unknown field 'point'; did you mean 'points'?"),
         ({}, "needs points and a speed, points and times, or pieces and a duration; has none"),
         ({"points": [[0, 0], [1, 0]], "times": [0, 1], "speed": 1.0}, "has points, speed, times"),
-        ({"points": [[0, 0], [1, 0]], "speed": 99.0}, "moves at 99.0 m/s, at most 20"),
-        ({"points": [[0, 10**400]]}, "needs points (x, y)"),
-        ({"duration": 1.0, "pieces": [[0, 1]]}, "pieces must be rows of 9 finite numbers"),
     ],
 )
 def test_load_world_names_a_bad_mover(mover: Any, problem: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.json"
     text = json.dumps({**GOOD, "movers": [{"points": [[0, 0]]}, mover]})
-    message = refused(tmp_path / "bad.json", text)
-    assert message.startswith("movers.1: ")
-    assert problem in message
+    assert_refused(path, text, problem)
+    with pytest.raises(WorldError, match=r"movers\.1: "):
+        load_world(path)
 
 
-def test_format_world_leaves_out_movers_if_there_are_none() -> None:
+def test_format_world_leaves_out_movers_and_refuses_other_suffixes() -> None:
     assert b"movers" not in format_world(World(), ".yaml") + format_world(World(), ".json")
+    with pytest.raises(WorldError, match=r"saved as \.json, \.yaml or \.yml"):
+        format_world(World(), ".png")

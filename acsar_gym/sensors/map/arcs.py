@@ -70,6 +70,7 @@ def tabulate_arcs(outline: Outline) -> tuple[Floats, Floats]:
     Returns:
         (ARCS, 2): Least and greatest `across` of the footprint, and (ARCS, BANDS, 4): its bands.
     """
+    # Points along the outline, because arcs bend it: its corners alone don't bound it.
     radius = outline_radius(outline)
     steps = np.arange(0.0, 1.0, len(outline) / OUTLINE_POINTS)
     edge = np.concatenate(
@@ -121,6 +122,7 @@ def measure_arcs(spans: Floats, fronts: Floats, radius: float, spots: Floats, ou
             if across < low - margin or across > high + margin:
                 continue
 
+            # The front that meets the obstacle: that of its band, or that of a part behind it.
             band = min(max(int((across - low) / (high - low) * BANDS), 0), BANDS - 1)
             if along >= fronts[arc, band, LATEST_FRONT]:
                 gap = max(along - fronts[arc, band, FRONT], 0.0)
@@ -128,6 +130,7 @@ def measure_arcs(spans: Floats, fronts: Floats, radius: float, spots: Floats, ou
                 gap = along - fronts[arc, band, SECOND_FRONT]
             else:
                 continue
+            # The wider footprint has the fronts of its outermost bands.
             wide = min(wide, gap)
             if low <= across <= high:
                 free = min(free, gap)

@@ -48,9 +48,11 @@ def tabulate_courses(radius: float, speed: float, turn_rate: float) -> Floats:
     places = np.empty((len(COURSES), COURSE_STEPS, 2))
     for course, (share, curvature) in enumerate(COURSES):
         bend = curvature / radius
+        # A course that the turn rate doesn't allow at this speed is driven slower.
         limit = turn_rate / max(abs(bend), 1e-9)
         pace = math.copysign(min(abs(share) * speed, limit), share)
         driven = pace * COURSE_STEP * np.arange(1, COURSE_STEPS + 1)
+        # Along the arc, whose centre is at the side of the robot.
         if bend == 0.0:
             places[course] = np.column_stack([driven, np.zeros(COURSE_STEPS)])
         else:
@@ -74,6 +76,7 @@ def measure_courses(places: Floats, radius: float, movers: Floats, out: Floats) 
         free = COURSE_STEPS
         smallest = MOST_GAP * radius
 
+        # Each object shortens the part of the course that the next objects are compared with.
         for k in range(len(movers)):
             for step in range(free):
                 time = COURSE_STEP * (step + 1)

@@ -79,6 +79,7 @@ def list_tracks(record: Any, pose: Pose) -> Floats:
         if track[AGE] < LEAST_AGE:
             continue
 
+        # From the odometry frame into the robot's.
         row = rows[count]
         dx = track[X] - pose[0]
         dy = track[Y] - pose[1]
@@ -91,6 +92,7 @@ def list_tracks(record: Any, pose: Pose) -> Floats:
         row[STATE] = 0.5 * (track[MOVES] + track[HAS_MOVED])
         row[DOUBT] = math.sqrt(track[SPEED_VAR])
 
+        # At the earliest the robot meets it if it drives straight towards it at top speed.
         distance = length_of(dx, dy)
         closing = record.top_speed - (row[X] * row[VX] + row[Y] * row[VY]) / max(distance, 1e-9)
         gap = max(distance - track[RADIUS] - record.radius, 0.0)
@@ -142,7 +144,7 @@ def fill_movers(record: Any, pose: Pose, out: Floats) -> None:
         )
         for k in range(len(NUMBERS)):
             out[n * len(NUMBERS) + k] = numbers[k]
-        row[MEETING] = math.inf
+        row[MEETING] = math.inf  # so that the next search finds another track
 
 
 @loop

@@ -62,6 +62,8 @@ class RobotUnits(NamedTuple):
         ramp = min(motor.acceleration for motor in motors) * config.wheel_radius
         forward = read_limits(config.linear_limits, config.max_linear).max_acceleration
         turning = read_limits(config.angular_limits, config.max_angular).max_acceleration
+
+        # A full stop isn't slowed down by the command limits, so braking is that of the motors.
         return cls(
             radius=footprint.outline_radius(config.outline),
             speed=config.max_linear,
@@ -77,21 +79,18 @@ class RobotUnits(NamedTuple):
         """Return constants in SI units: each times the unit that its annotation names."""
         # Numbers of type float are in SI units already.
         hints = typing.get_type_hints(type(constants), include_extras=True)
-        units = {
-            name: getattr(self, hint.__metadata__[0])
+        scaled = {
+            name: getattr(constants, name) * getattr(self, hint.__metadata__[0])
             for name, hint in hints.items()
-            if typing.get_origin(hint) is Annotated
+            if hint is not float
         }
-        return constants._replace(
-            **{name: getattr(constants, name) * unit for name, unit in units.items()}
-        )
+        return constants._replace(**scaled)
 
 
 @functools.cache
-def read_constants() -> dict[str, Any]:
+def read_constants() -> Any:
     """Read `constants.yaml`: by planner, name of the id, robot and constant."""
-    constants: dict[str, Any] = reading.parse_yaml(CONSTANTS_FILE.read_text(encoding="utf-8"))
-    return constants
+    return reading.parse_yaml(CONSTANTS_FILE.read_text(encoding="utf-8"))
 
 
 def find_constants(planner: str, env_id: str, config: RobotConfig) -> dict[str, float]:
@@ -122,7 +121,7 @@ class BaselinePolicy(FilePolicy):
         env_id: Id of the env that it drives.
     """
 
-    name: ClassVar[str]
+    name: str = ""
     """Its name in messages, and for `--policy`. By default the name of the class."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Names of the task's numbers that it needs."""
@@ -132,15 +131,12 @@ class BaselinePolicy(FilePolicy):
     """Its constants: of the class the defaults, see `RobotUnits`, of a policy in SI units."""
     env_named = True
 
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
-        if "name" not in vars(cls):
-            cls.name = cls.__name__
-
     def __init__(self, env_id: str) -> None:
+        kind = type(self)
+        self.name = vars(kind).get("name", kind.__name__)  # not that of a base class
         self.path = Path(self.name)
         self.env_id = env_id
-        self.sha256 = hash_modules(type(self).__module__)
+        self.sha256 = hash_modules(kind.__module__)
 
     def bind(self, setting: PolicyContext) -> None:
         """Check the setting of the env, and prepare for it. See `equip`.
@@ -161,6 +157,8 @@ class BaselinePolicy(FilePolicy):
         """
         self.setting = setting
         self.units = RobotUnits.of(setting.config, setting.period)
+
+        # Constants of the preset, if a search has found some.
         if defaults := type(self).constants:
             constants = find_constants(self.name, self.env_id, setting.config)
             self.constants = self.units.scale(defaults._replace(**constants))
@@ -178,6 +176,7 @@ class BaselinePolicy(FilePolicy):
 
     def __call__(self, observation: Observation) -> NDArray[np.float32]:
         """Choose the action for one observation, shape (2,) in [-1, 1]."""
+        # Planners decide in SI units, actions are shares of the top speeds.
         linear, angular = self.act(self.setting.seen(observation))
         config = self.setting.config
         action = np.array((linear / config.max_linear, angular / config.max_angular), np.float32)

@@ -53,9 +53,7 @@ ALIGNED_BEARING = 0.3
 class Motion(NamedTuple):
     """The motion of a robot in the odometry frame [m, rad, s]."""
 
-    x: float
-    y: float
-    theta: float
+    pose: Pose
     linear: float
     angular: float
     sent_linear: float
@@ -99,12 +97,12 @@ class Situation(NamedTuple):
     footprint: Footprint
     points: Floats
     """(n, 2): obstacles in the odometry frame [m]."""
+    movers: Floats
+    """(m, 5): tracks of movers, which keep their velocities."""
     way: Floats
     """(corners, 4): see `MapSensor.way_ahead`. The last one is the goal."""
     goal_radius: float
     """[m]."""
-    movers: Floats
-    """(m, 5): x, y [m], their rates [m/s], and radius [m]. They keep their velocities."""
 
 
 class Dwa(MappedPolicy):
@@ -119,25 +117,26 @@ class Dwa(MappedPolicy):
         units = self.units
         k = self.constants
         ahead = units.speed * k.arc_time + k.nose
-        tracks = self.tracks()
         around = Situation(
             k,
             units,
             blend_of(ARC_STEP, units.lag),
             self.footprint,
-            points=self.obstacles(pose, seen, ahead + units.radius + FADED * k.near_fade, tracks),
+            points=self.obstacles(pose, seen, ahead + units.radius + FADED * k.near_fade),
+            movers=self.tracks(),
             way=self.map.way_ahead,
             goal_radius=0.9 * self.setting.tolerance,
-            movers=tracks,
         )
 
-        # The best velocity, unless none is admissible, or the robot is at rest.
-        motion = Motion(*pose, seen.linear, seen.angular, *self.sent)
+        # The best velocity, unless none is admissible.
+        motion = Motion(pose, seen.linear, seen.angular, *self.sent)
         window = self._window()
         scores = score_window(window, motion, around)
         best = int(scores.argmin())
         if not math.isfinite(scores[best]):
             return escape(motion, around)
+
+        # A robot that barely moves is stuck, if that lasts.
         linear, angular = window[best].tolist()
         is_slow = abs(linear) < 0.06 * units.speed
         is_still = is_slow and abs(angular) < 0.1 * units.turning
@@ -161,6 +160,7 @@ class Dwa(MappedPolicy):
 
     def _window(self) -> Floats:
         """(n, 2): velocities that can be reached soon, and standing still."""
+        # Standing still is always tried, so that the robot can wait.
         k = self.constants
         units = self.units
         reach = units.acceleration * k.window_periods
@@ -206,11 +206,12 @@ def advance_arc(
     # The lag of the motors, then the odometry.
     speed = motion.linear + around.blend * (sent_linear - motion.linear)
     turning = motion.angular + around.blend * (sent_angular - motion.angular)
-    theta = motion.theta + turning * ARC_STEP
+    x, y, theta = motion.pose
+    theta += turning * ARC_STEP
+    x += speed * ARC_STEP * math.cos(theta)
+    y += speed * ARC_STEP * math.sin(theta)
     return Motion(
-        x=motion.x + speed * ARC_STEP * math.cos(theta),
-        y=motion.y + speed * ARC_STEP * math.sin(theta),
-        theta=theta,
+        pose=(x, y, theta),
         linear=speed,
         angular=turning,
         sent_linear=sent_linear,
@@ -242,11 +243,11 @@ def score_velocity(linear: float, angular: float, motion: Motion, around: Situat
     for step in range(arc_steps):
         turning = angular if step < turn_steps else 0.0
         motion = advance_arc(motion, linear, turning, around.units.acceleration, around)
-        if step % 2 == 0:
+        if step % 2 == 0:  # every second step is near enough to the next
             continue
 
         # Nearness costs, and contact ends the arc.
-        free = pose_clearance(motion, around, FADED * k.near_fade)
+        free = pose_clearance(motion.pose, around, FADED * k.near_fade)
         free = movers_clearance(motion, (step + 1) * ARC_STEP, around, free)
         cost += 2.0 * ARC_STEP * k.near_cost * math.exp(-free / k.near_fade)
         remaining = 1.0 - step / arc_steps
@@ -255,15 +256,15 @@ def score_velocity(linear: float, angular: float, motion: Motion, around: Situat
             break
 
         # The goal ends it as well.
-        dx = around.way[-1, 0] - motion.x
-        dy = around.way[-1, 1] - motion.y
+        dx = around.way[-1, X] - motion.pose[X]
+        dy = around.way[-1, Y] - motion.pose[Y]
         if dx * dx + dy * dy < around.goal_radius * around.goal_radius:
             return cost - remaining
 
     # The way that remains from the nose, so that the heading matters.
-    x = motion.x + k.nose * math.cos(motion.theta)
-    y = motion.y + k.nose * math.sin(motion.theta)
-    return cost + length_left(around.way, next_corner(around.way, 0, (x, y)), (x, y))
+    x, y, theta = motion.pose
+    nose = (x + k.nose * math.cos(theta), y + k.nose * math.sin(theta))
+    return cost + length_left(around.way, next_corner(around.way, 0, nose), nose)
 
 
 @loop
@@ -274,7 +275,7 @@ def can_stop(linear: float, angular: float, motion: Motion, around: Situation) -
     """
     units = around.units
     wanted = around.k.stop_clearance
-    enough = pose_clearance(motion, around, wanted) - 1e-3
+    enough = pose_clearance(motion.pose, around, wanted) - 1e-3
     hold = around.k.hold_periods
     hold_steps = count_steps(hold)
     slowing = hold + units.speed / units.braking + 8.0 * units.lag + ARC_STEP
@@ -286,8 +287,10 @@ def can_stop(linear: float, angular: float, motion: Motion, around: Situation) -
             motion = advance_arc(motion, linear, angular, units.acceleration, around)
         else:
             motion = advance_arc(motion, 0.0, 0.0, units.braking, around)
-        if pose_clearance(motion, around, wanted) < enough:
+        if pose_clearance(motion.pose, around, wanted) < enough:
             return False
+
+        # At rest, or as good as that.
         if not is_holding and abs(motion.linear) < 0.01 and abs(motion.angular) < 0.05:
             break
     return True
@@ -302,12 +305,11 @@ def escape(motion: Motion, around: Situation) -> tuple[float, float]:
     for linear in (0.0, -0.2 * around.units.speed, 0.2 * around.units.speed):
         for angular in (0.0, -0.4 * around.units.turning, 0.4 * around.units.turning):
             # Where that leads to within 0.3 s, along a straight line.
-            theta = motion.theta + 0.3 * angular
-            ahead = 0.3 * linear
-            x = motion.x + ahead * math.cos(theta)
-            y = motion.y + ahead * math.sin(theta)
-            pose = (x, y, theta)
-            free = footprint_clearance(pose, around.points, around.footprint, around.units.radius)
+            x, y, theta = motion.pose
+            theta += 0.3 * angular
+            x += 0.3 * linear * math.cos(theta)
+            y += 0.3 * linear * math.sin(theta)
+            free = pose_clearance((x, y, theta), around, around.units.radius)
             if free > most_free + 1e-3:
                 most_free = free
                 chosen = (linear, angular)
@@ -315,20 +317,20 @@ def escape(motion: Motion, around: Situation) -> tuple[float, float]:
 
 
 @jit
-def pose_clearance(motion: Motion, around: Situation, limit: float) -> float:
+def pose_clearance(pose: Pose, around: Situation, limit: float) -> float:
     """Clearance of the footprint from obstacles, at most `limit` [m]."""
-    pose = (motion.x, motion.y, motion.theta)
     return footprint_clearance(pose, around.points, around.footprint, limit)
 
 
 @loop
 def movers_clearance(motion: Motion, time: float, around: Situation, limit: float) -> float:
     """Clearance of the footprint from where movers are after some time, at most `limit` [m]."""
-    cos = math.cos(motion.theta)
-    sin = math.sin(motion.theta)
+    x, y, theta = motion.pose
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     for mover in around.movers:
-        dx = mover[X] + time * mover[RATE_X] - motion.x
-        dy = mover[Y] + time * mover[RATE_Y] - motion.y
+        dx = mover[X] + time * mover[RATE_X] - x
+        dy = mover[Y] + time * mover[RATE_Y] - y
         reach = around.footprint.outer + mover[RADIUS] + limit
         if dx * dx + dy * dy < reach * reach:
             along = dx * cos + dy * sin

@@ -26,9 +26,9 @@ PARALLEL = 1e-9
 """Lines whose normals have a smaller cross product than this are parallel."""
 
 
-def make_box(x: tuple[float, float], y: tuple[float, float], planes: Floats) -> None:
-    """Write the half planes of the least and greatest x and y into the first BOX rows."""
-    planes[:BOX] = [(1.0, 0.0, x[0]), (-1.0, 0.0, -x[1]), (0.0, 1.0, y[0]), (0.0, -1.0, -y[1])]
+def make_box(x: tuple[float, float], y: tuple[float, float]) -> Floats:
+    """Return the half planes of the least and greatest x and y, (BOX, 3)."""
+    return np.array([(1, 0, x[0]), (-1, 0, -x[1]), (0, 1, y[0]), (0, -1, -y[1])], np.float64)
 
 
 @loop
@@ -50,6 +50,7 @@ def solve_programme(planes: Floats, hard: int, x: float, y: float) -> tuple[floa
     if met == len(planes):
         return best_x, best_y
 
+    # Nothing is left of all: half plane by half plane, accept the least violation of the worst.
     projected = np.empty((len(planes), 3))
     worst = 0.0
     for i in range(met, len(planes)):
@@ -71,6 +72,7 @@ def solve_programme(planes: Floats, hard: int, x: float, y: float) -> tuple[floa
                 projected[count, B] = across_b / length
                 projected[count, C] = (planes[j, C] - c) / length
                 count += 1
+        # Rounding may leave nothing, and then the point before is as good.
         next_x, next_y, met = find_nearest(projected, count, a, b, True)
         if met == count:
             best_x = next_x
@@ -89,6 +91,7 @@ def find_nearest(
         The point, and how many of the half planes hold: `count`, or the place of the first half
         plane that leaves nothing.
     """
+    # Without the others the nearest point is in the box, in a direction it is a corner of the box.
     if is_direction:
         best_x = -planes[1, C] if x > 0.0 else planes[0, C]
         best_y = -planes[3, C] if y > 0.0 else planes[2, C]
@@ -117,6 +120,8 @@ def find_nearest(
                 high = -np.inf
         if low > high:
             return best_x, best_y, i
+
+        # The nearest place of that part of the border.
         along = y * a - x * b
         if is_direction:
             along = high if along > 0.0 else low

@@ -9,8 +9,6 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.config import RobotConfig
-from acsar_gym.config.footprint import outline_radius
 from acsar_gym.errors import PolicyError
 from acsar_gym.jit import jit, loop
 from acsar_gym.lidar.scan import ray_spec
@@ -19,6 +17,8 @@ from acsar_gym.sensors.map.sensor import MapSensor
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import BaselinePolicy
 from acsar_gym.tools.policies.policy import GOAL_NUMBERS, DecodedObservation, PolicyContext
+from acsar_gym.worlds.geometry import turn_back
+from acsar_gym.worlds.world import point_in_world, to_odometry
 
 Pose = tuple[float, float, float]
 """x [m], y [m], theta [rad] in the odometry frame."""
@@ -46,13 +46,6 @@ class Footprint(NamedTuple):
     """(sides, 4): ends of the sides in the base frame [m]."""
     outer: float
     """Radius of the disc around it [m]."""
-
-    @classmethod
-    def of(cls, config: RobotConfig) -> Footprint:
-        """Return the footprint of a robot."""
-        corners = np.array(config.outline)
-        sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
-        return cls(sides, outline_radius(config.outline))
 
 
 @loop
@@ -107,9 +100,7 @@ def footprint_clearance(pose: Pose, points: Floats, footprint: Footprint, limit:
 def to_base(pose: Pose, places: Floats) -> Floats:
     """(n, 2): places of the odometry frame in the base frame of a robot that is there [m]."""
     dx, dy = (places - pose[:2]).T
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
-    return np.column_stack([dx * cos + dy * sin, dy * cos - dx * sin])
+    return np.column_stack(turn_back(dx, dy, math.cos(pose[2]), math.sin(pose[2])))
 
 
 def cells_of(places: Floats, side: float) -> NDArray[np.int64]:
@@ -138,7 +129,9 @@ class MappedPolicy(BaselinePolicy):
                 "use --env obstacle_goal, or another policy"
             )
         self.map: MapSensor = setting.map
-        self.footprint = Footprint.of(setting.config)
+        corners = np.array(setting.config.outline)
+        sides = np.hstack([corners, np.roll(corners, -1, axis=0)])
+        self.footprint = Footprint(sides, outer=self.units.radius)
         self._angles = ray_spec(setting.config).angles()
         self.reset()
 
@@ -165,25 +158,18 @@ class MappedPolicy(BaselinePolicy):
         """(m, 5): movers, in the odometry frame: x, y [m], their rates [m/s], and radius [m]."""
         return self.map.movers if self.follows_movers else NO_TRACKS
 
-    def obstacles(
-        self, pose: Pose, seen: DecodedObservation, reach: float, tracks: Floats = NO_TRACKS
-    ) -> Floats:
+    def obstacles(self, pose: Pose, seen: DecodedObservation, reach: float) -> Floats:
         """(n, 2): what is around the robot and belongs to no track, in the odometry frame [m].
 
         The newest scan, and the newest place of what was met in each cell of the map, as cells are
         too coarse for a footprint that passes within centimetres.
         """
         # The scan, without rays that have met nothing.
-        x, y, theta = pose
         config = self.setting.config
-        cos = math.cos(theta)
-        sin = math.sin(theta)
-        origin = (
-            x + cos * config.lidar_x_offset - sin * config.lidar_y_offset,
-            y + sin * config.lidar_x_offset + cos * config.lidar_y_offset,
-        )
+        origin = point_in_world(pose, (config.lidar_x_offset, config.lidar_y_offset))
+        angles = self._angles + pose[2]
         ranges = np.array(seen.ranges)
-        along = np.column_stack([np.cos(self._angles + theta), np.sin(self._angles + theta)])
+        along = np.column_stack([np.cos(angles), np.sin(angles)])
         scan = (origin + ranges[:, None] * along)[ranges < config.lidar.max_range - 1e-3]
 
         # The newest place of each cell. If another cell has overwritten it, the centre.
@@ -197,6 +183,7 @@ class MappedPolicy(BaselinePolicy):
         places[is_elsewhere] = cell_centre(cells[is_elsewhere], side)
 
         # Without what belongs to a track.
+        tracks = self.tracks()
         is_near = np.abs(scan - pose[:2]).max(axis=1) <= reach
         points = np.concatenate([scan[is_near], places])
         distances = np.hypot(*(points[:, None] - tracks[:, X:RATE_X]).T).T
@@ -205,5 +192,5 @@ class MappedPolicy(BaselinePolicy):
 
     def carrot(self, pose: Pose, lookahead: float) -> tuple[float, float]:
         """The point at a distance along the way [m], in the base frame [m]."""
-        ((x, y),) = to_base(pose, np.array([self.map.point_ahead(lookahead)])).tolist()
+        x, y, _ = to_odometry(pose, (*self.map.point_ahead(lookahead), 0.0))
         return x, y

@@ -56,6 +56,7 @@ class Navfn(MappedPolicy):
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Return the velocity command [m/s, rad/s]."""
+        # A carrot far to the side means that the path starts elsewhere: turn on the spot.
         units = self.units
         k = self.constants
         x, y = self.carrot(pose, max(k.carrot_time * seen.linear, k.min_carrot))
@@ -87,6 +88,7 @@ class Navfn(MappedPolicy):
         x, y, theta = pose
         time = self.constants.arc_time
         wanted = self.constants.arc_clearance
+        # If the robot is too near already, it may drive away.
         enough = footprint_clearance(pose, near, self.footprint, wanted) - 2e-3
         checks = math.ceil(self.units.speed * time / (CHECK_SPACING * self.units.radius))
         for _ in range(checks):

@@ -22,7 +22,7 @@ import numpy as np
 
 from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import PolicyError
-from acsar_gym.jit import jit, loop
+from acsar_gym.jit import loop
 from acsar_gym.tasks.state import Floats
 from acsar_gym.tools.baselines.base import Periods, Radii, RobotUnits, Speeds
 from acsar_gym.tools.baselines.half_planes import BOX, A, B, C, make_box, solve_programme
@@ -87,6 +87,7 @@ class Orca(MappedPolicy):
 
     def decide(self, pose: Pose, seen: DecodedObservation) -> tuple[float, float]:
         """Choose the velocity command [m/s, rad/s]."""
+        # Where the robot will be when the command takes effect.
         units = self.units
         k = self.constants
         twist = (seen.linear, seen.angular)
@@ -95,20 +96,20 @@ class Orca(MappedPolicy):
         # What obstacles and movers leave of the velocities.
         tracks = self.tracks()
         reach = units.speed * (k.wall_horizon + k.delay) + units.radius + k.wall_margin
-        points = to_base(pose_then, self.obstacles(pose, seen, reach, tracks))
+        points = to_base(pose_then, self.obstacles(pose, seen, reach))
         moved = tracks[:, X:RATE_X] + k.delay * tracks[:, RATE_X:RADIUS]
         rates = to_base((0.0, 0.0, pose_then[2]), tracks[:, RATE_X:RADIUS])
         movers = np.column_stack([to_base(pose_then, moved), rates, tracks[:, RADIUS]])
-        hard = BOX + len(points)
-        planes = np.zeros((hard + len(movers), 3))
-        forbid_walls(planes[BOX:hard], points, k, self._surroundings)
-        forbid_movers(planes[hard:], movers, speed, k, units)
+        walls = forbid_walls(points, k, self._surroundings)
+        planes = np.vstack([walls, forbid_movers(movers, speed, k, units)])
+        hard = BOX + len(walls)
 
         # The velocity within them that is nearest to the velocity along the way.
-        make_box((-units.speed, units.speed), (-units.speed, units.speed), planes)
         x, y = self.carrot(pose_then, k.lookahead)
         share = units.speed / max(math.hypot(x, y), 1e-6)
-        vx, vy = solve_programme(planes, hard, share * x, share * y)
+        speeds = (-units.speed, units.speed)
+        within = np.vstack([make_box(speeds, speeds), planes])
+        vx, vy = solve_programme(within, hard, share * x, share * y)
 
         # The command: turn towards it, or away from it to back off.
         bearing = math.atan2(vy, vx)
@@ -119,9 +120,9 @@ class Orca(MappedPolicy):
             direction = -1.0
         turn = min(max(k.turn_gain * bearing, -units.turning), units.turning)
         wanted = direction * fast * max(math.cos(bearing), 0.0)
-        planes = planes_along(planes, units.period * turn)
-        make_box((-k.reverse_share, units.speed), (0.0, 0.0), planes)
-        speed, _ = solve_programme(planes, hard, wanted, 0.0)
+        box = make_box((-k.reverse_share, units.speed), (0.0, 0.0))
+        within = np.vstack([box, planes_along(planes, units.period * turn)])
+        speed, _ = solve_programme(within, hard, wanted, 0.0)
         return speed, turn
 
 
@@ -159,6 +160,8 @@ def true_tracks(truth: GroundTruth, pose: Pose) -> Floats:
     """(m, 5): as `MappedPolicy.tracks`, of a robot whose pose by odometry is `pose`."""
     if truth.crowd is None:
         return NO_TRACKS
+
+    # The odometry has drifted: turn and move the world's places by the difference of the poses.
     states = truth.crowd.states
     turned = truth.pose[2] - pose[2]
     cos = math.cos(turned)
@@ -191,20 +194,18 @@ def predict_pose(
 
 
 @loop
-def forbid_walls(
-    planes: Floats, points: Floats, constants: OrcaConstants, footprint: Surroundings
-) -> None:
-    """Write the half planes that obstacles leave, (n, 3), in the base frame.
+def forbid_walls(points: Floats, constants: OrcaConstants, footprint: Surroundings) -> Floats:
+    """Return the half planes that obstacles leave, (n, 3), in the base frame.
 
     Args:
-        planes: Where they are written.
         points: (n, 2): obstacles [m].
         constants: The constants in SI units.
         footprint: Footprint of the robot.
     """
+    planes = np.empty((len(points), 3))
     for n in range(len(points)):
-        x = points[n, 0]
-        y = points[n, 1]
+        x = points[n, X]
+        y = points[n, Y]
         gap, at_x, at_y = footprint_gap(x, y, footprint, 0)
 
         # An obstacle within the footprint pushes the robot's centre away.
@@ -212,30 +213,26 @@ def forbid_walls(
             at_x = at_y = 0.0
         distance = math.sqrt((x - at_x) ** 2 + (y - at_y) ** 2) + 1e-9
         fastest = max(gap - constants.wall_margin, 0.0) / constants.wall_horizon
-        write_plane(planes[n], (at_x - x) / distance, (at_y - y) / distance, -fastest)
-
-
-@jit
-def write_plane(plane: Floats, a: float, b: float, c: float) -> None:
-    """Write a row of half planes."""
-    plane[A] = a
-    plane[B] = b
-    plane[C] = c
+        planes[n] = ((at_x - x) / distance, (at_y - y) / distance, -fastest)
+    return planes
 
 
 @loop
 def forbid_movers(
-    planes: Floats, movers: Floats, speed: float, constants: OrcaConstants, units: RobotUnits
-) -> None:
-    """Write the half planes that movers leave to a robot of that speed, section 4 of the paper.
+    movers: Floats, speed: float, constants: OrcaConstants, units: RobotUnits
+) -> Floats:
+    """Return the half planes that movers leave to a robot of that speed, section 4 of the paper.
 
     Args:
-        planes: Where they are written, (m, 3).
         movers: (m, 5): x, y [m], their rates [m/s], and radius [m], in the base frame.
         speed: Speed of the robot [m/s].
         constants: The constants in SI units.
         units: Limits of the robot.
+
+    Returns:
+        (m, 3), in the base frame.
     """
+    planes = np.empty((len(movers), 3))
     for m in range(len(movers)):
         x = movers[m, X]
         y = movers[m, Y]
@@ -264,19 +261,15 @@ def forbid_movers(
             a = -(x * radius + y * leg) / square
             b = (x * leg - y * radius) / square
             push = -(a * vx + b * vy)
-        write_plane(planes[m], a, b, a * speed + constants.share * push)
+        planes[m] = (a, b, a * speed + constants.share * push)
+    return planes
 
 
-@loop
 def planes_along(planes: Floats, heading: float) -> Floats:
-    """The half planes as limits of the speed along a heading. The first BOX stay empty."""
-    cos = math.cos(heading)
-    sin = math.sin(heading)
-    limits = np.zeros_like(planes)
-    for n in range(BOX, len(planes)):
-        slope = planes[n, A] * cos + planes[n, B] * sin
-        if abs(slope) > ACROSS:
-            write_plane(limits[n], math.copysign(1.0, slope), 0.0, planes[n, C] / abs(slope))
-        else:
-            write_plane(limits[n], 1.0, 0.0, -np.inf)
+    """Return the half planes as limits of the speed along a heading."""
+    slope = planes[:, A] * math.cos(heading) + planes[:, B] * math.sin(heading)
+    limits = np.full_like(planes, (1.0, 0.0, -math.inf))
+    rows = np.abs(slope) > ACROSS
+    limits[rows, A] = np.sign(slope[rows])
+    limits[rows, C] = planes[rows, C] / np.abs(slope[rows])
     return limits

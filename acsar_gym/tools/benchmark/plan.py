@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -182,22 +183,21 @@ def choose_agents(
     envs = list(dict.fromkeys(scenes.env for scenes in sets))
     packaged = sorted((AGENTS / "policies").glob("*.onnx"))
     files: dict[str, Sources] = {PACKAGED: [(None, str(file)) for file in packaged]}
-    for name, sources in find_trained(trained).items() if trained is not None else ():
-        files[name] = sources[:seeds]
+    if trained is not None:
+        files |= find_trained(trained, seeds)
 
     # An agent that the user named must drive in every set: a missing row is easily overlooked.
     agents: list[Agent] = []
     for name in dict.fromkeys(names or [*files, *BASELINES]):
         chosen = list(_load_agents(name, files, envs))
-        if not names:
-            chosen = [agent for agent in chosen if _is_default(agent)]
-        for scenes in sets if names else ():
-            if scenes.env not in [agent.env for agent in chosen]:
-                raise ConfigError(
-                    f"--agents {name}: has no policy for {scenes.id} of set {scenes.name}: name "
-                    "other --sets, or leave it out"
-                )
-        agents += chosen
+        driven = {agent.env for agent in chosen}
+        missing = [scenes for scenes in sets if scenes.env not in driven]
+        if names and missing:
+            raise ConfigError(
+                f"--agents {name}: has no policy for {missing[0].id} of set {missing[0].name}: "
+                "name other --sets, or leave it out"
+            )
+        agents += chosen if names else filter(_is_default, chosen)
 
     # Rows are named after agents.
     counts = Counter((agent.name, agent.env, agent.training_seed) for agent in agents)
@@ -252,8 +252,8 @@ def _is_default(agent: Agent) -> bool:
     return agent.kind != PRIVILEGED
 
 
-def find_trained(folder: Path) -> dict[str, Sources]:
-    """Find trained policies, `folder`/NAME/SEED/policy.onnx: seeds and files by name, in order."""
+def find_trained(folder: Path, seeds: int) -> dict[str, Sources]:
+    """Find trained policies, `folder`/NAME/SEED/policy.onnx: the first seeds and files by name."""
     files: dict[str, Sources] = {}
     # The name of the folder is the name of the agent, the number in that below it the seed.
     for file in sorted(folder.glob("*/*/policy.onnx")):
@@ -265,7 +265,7 @@ def find_trained(folder: Path) -> dict[str, Sources]:
         files.setdefault(file.parts[-3], []).append((int(digits[-1]), str(file)))
     if not files:
         raise ConfigError(f"--trained {folder}: holds no NAME/SEED/policy.onnx")
-    return {name: sorted(sources) for name, sources in files.items()}
+    return {name: sorted(sources)[:seeds] for name, sources in files.items()}
 
 
 class Place(NamedTuple):
@@ -298,11 +298,10 @@ class Cell:
         """Return episodes of the cell with their scores."""
         top_speed = self.scenes.config.max_linear
         tolerance = make_planar(self.scenes.env).task.goal_tolerance
-        scores = [
-            score_episode(episode, self.scenes.score, top_speed=top_speed, tolerance=tolerance)
-            for episode in episodes
-        ]
-        return [replace(e, score=score) for e, score in zip(episodes, scores, strict=True)]
+        score = partial(
+            score_episode, name=self.scenes.score, top_speed=top_speed, tolerance=tolerance
+        )
+        return [replace(episode, score=score(episode)) for episode in episodes]
 
     @property
     def job(self) -> EpisodeJob:

@@ -22,7 +22,7 @@ from acsar_gym import reading
 from acsar_gym.errors import ConfigError, check_extra
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.tools import page
-from acsar_gym.tools.benchmark.plan import BASELINE, NOMINAL, ROS2, Cell, Place
+from acsar_gym.tools.benchmark.plan import BASELINE, NOMINAL, ROS2, Agent, Cell, Place
 from acsar_gym.tools.evaluation import provenance, report
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.metrics import (
@@ -65,17 +65,16 @@ class CellResult:
 class AgentRow:
     """An agent at a place, over all its training seeds."""
 
-    agent: str
-    kind: str
+    agent: Agent
     place: Place
-    seeds: list[int | None] = field(default_factory=list)
-    groups: list[list[Episode]] = field(default_factory=list)
-    """Episodes of each training seed that drove."""
+    groups: dict[int | None, list[Episode]] = field(default_factory=dict)
+    """Episodes by training seed, of those that drove."""
     refused: str = ""
 
     def matrix(self, name: str) -> NDArray[np.float64]:
         """Return a field of `Episode`, (training seeds, scenes)."""
-        return np.array([[getattr(e, name) for e in group] for group in self.groups], np.float64)
+        groups = self.groups.values()
+        return np.array([[getattr(e, name) for e in group] for group in groups], np.float64)
 
     def mean(self, name: str) -> float:
         """Return the mean of a field over all episodes."""
@@ -83,16 +82,17 @@ class AgentRow:
 
     def as_dict(self, rivals: Sequence[AgentRow]) -> dict[str, Any]:
         """Return figures, intervals and differences to the best baseline of `rivals`, for JSON."""
-        about = {"agent": self.agent, "kind": self.kind, **self.place._asdict()}
+        about = {"agent": self.agent.name, "kind": self.agent.kind, **self.place._asdict()}
 
         # An agent that couldn't drive has a row without figures.
-        about["refused"] = "" if self.groups else self.refused
         if not self.groups:
-            return about
-        return about | {
-            "training_seeds": self.seeds,
-            "episodes": sum(map(len, self.groups)),
-            **measure_figures(self.groups),
+            return {**about, "refused": self.refused}
+        return {
+            **about,
+            "refused": "",
+            "training_seeds": list(self.groups),
+            "episodes": self.matrix("score").size,
+            **measure_figures([*self.groups.values()]),
             "seed_scores": self.matrix("score").mean(axis=1).tolist(),
             "seed_success": self.matrix("success").mean(axis=1).tolist(),
             "differences": {name: self._compare(name, rivals) for name in DIFFERENCES},
@@ -105,7 +105,7 @@ class AgentRow:
         no other baseline.
         """
         # Agents that know the simulator's truth are no baselines.
-        baselines = [row for row in rivals if row.kind == BASELINE and row.groups]
+        baselines = [row for row in rivals if row.agent.kind == BASELINE and row.groups]
         best = max(baselines, key=lambda row: (row.mean(name), row.mean("score")), default=self)
         if best is self:
             return None
@@ -113,7 +113,7 @@ class AgentRow:
         # A baseline has one seed, with which each training seed is compared.
         differences = self.matrix(name) - best.matrix(name)[:1]
         return {
-            "over": best.agent,
+            "over": best.agent.name,
             "difference": float(differences.mean()),
             "interval": bootstrap_interval(differences),
         }
@@ -125,14 +125,10 @@ def make_rows(cells: Mapping[Cell, CellResult]) -> list[AgentRow]:
     rows: dict[tuple[Place, str], AgentRow] = {}
     for cell, result in cells.items():
         agent = cell.agent
-        row = AgentRow(agent.name, agent.kind, cell.place)
-        row = rows.setdefault((cell.place, agent.name), row)
+        row = rows.setdefault((cell.place, agent.name), AgentRow(agent, cell.place))
         row.refused = row.refused or result.refused
-
-        # A seed that couldn't drive has no episodes, and doesn't count.
-        if result.episodes:
-            row.seeds.append(agent.training_seed)
-            row.groups.append(result.episodes)
+        if result.episodes:  # a seed that couldn't drive doesn't count
+            row.groups[agent.training_seed] = result.episodes
 
     # The order of the plan, and the best agent first.
     places = list(dict.fromkeys(place for place, _ in rows))
@@ -328,7 +324,7 @@ def write_benchmark_page(path: Path, result: Mapping[str, Any]) -> None:
 
     # All figures, of agents that drove at the same place next to each other.
     for heading, place in groupby(rows, _name_place):
-        figures = report.figure_cells({row["agent"]: row for row in place})
+        figures = report.list_lines({row["agent"]: report.figure_cells(row) for row in place})
         sections.append(page.Section(heading, table=report.fill_cells(figures)))
 
     # What is needed to repeat it.

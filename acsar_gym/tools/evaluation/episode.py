@@ -110,11 +110,6 @@ class Episode:
         return self.ended - self.started
 
     @property
-    def minutes(self) -> float:
-        """Duration of the episode [min]."""
-        return self.time / 60.0
-
-    @property
     def spl(self) -> float:
         """Success weighted by path length, 0 to 1: success * shortest / max(driven, shortest)."""
         return float(self.success) * self._path_share
@@ -290,10 +285,8 @@ def measure_way(
     )
 
 
-@lru_cache(maxsize=1024)
-def _distance(world: World, radius: float, place: Region, goal: Region) -> float:
-    """As `remaining_distance`. Episodes in a world often have the same start and goal."""
-    return remaining_distance(world, radius, place, goal)
+_distance = lru_cache(maxsize=1024)(remaining_distance)
+"""Episodes in a world often have the same start and goal."""
 
 
 def footprint_clearance(places: Floats, outline: Outline, world: World) -> float:
@@ -333,12 +326,13 @@ def odometry_errors(episodes: Sequence[Episode], log: Path) -> list[float]:
     """
     stamps, poses = read_true_poses(log)
 
-    # The newest pose until then.
-    def find_pose(stamp: float) -> Pose:
-        return poses[max(0, bisect_right(stamps, stamp) - 1)]
-
-    ends = [to_odometry(find_pose(e.started), find_pose(e.ended)) for e in episodes]
-    return [math.dist(end[:2], e.pose[:2]) for end, e in zip(ends, episodes, strict=True)]
+    errors = []
+    for episode in episodes:
+        # The newest pose until then.
+        times = (episode.started, episode.ended)
+        start, end = (poses[max(0, bisect_right(stamps, time) - 1)] for time in times)
+        errors.append(math.dist(to_odometry(start, end)[:2], episode.pose[:2]))
+    return errors
 
 
 def read_true_poses(log: Path) -> tuple[list[float], list[Pose]]:

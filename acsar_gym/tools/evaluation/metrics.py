@@ -115,7 +115,7 @@ FIGURES = {
     "closest_person": Figure(lambda e: e.closest_person, "closest person", "cm", 100.0),
     "time_to_collision": Figure(lambda e: e.time_to_collision, "time to collision", "s"),
     "intrusion_rate": Figure(
-        lambda e: e.intrusions, "intrusions", "1/min", per=lambda e: e.minutes
+        lambda e: e.intrusions, "intrusions", "1/min", per=lambda e: e.time / 60.0
     ),
 }
 """The figures by name, see `Summary`."""

@@ -140,16 +140,22 @@ def format_figure(row: Row, name: str) -> str:
     return "{} ({} to {})".format(*texts) if len(texts) == 3 else "".join(texts)
 
 
-def figure_cells(rows: Mapping[str, Row], corner: str = "figure") -> list[dict[str, str]]:
-    """Return cells for a table with a line for each figure that is known.
+def figure_cells(row: Row) -> Cells:
+    """Return the figures of a row as text, by name."""
+    return {name: format_figure(row, name) for name in row["intervals"]}
+
+
+def list_lines(columns: Mapping[str, Cells], corner: str = "figure") -> list[Cells]:
+    """Return a line of a table for each figure that is known in a column.
 
     Args:
-        rows: Means and intervals for each column.
+        columns: Cells by the names of figures, for each column.
         corner: Heading of the figures' names.
     """
-    lines = []
-    for name in dict.fromkeys(name for row in rows.values() for name in row["intervals"]):
-        values = {column: format_figure(row, name) for column, row in rows.items()}
+    names = dict.fromkeys(name for cells in columns.values() for name in cells)
+    lines: list[Cells] = []
+    for name in names:
+        values = {column: cells.get(name, "") for column, cells in columns.items()}
         if any(values.values()):
             lines.append({corner: find_figure(name).heading, **values})
     return lines
@@ -168,9 +174,10 @@ def count_cells(summary: Summary) -> dict[str, str]:
         "late ticks": lateness,
     }
     if summary.round_trips:
-        median = f"{summary.round_trip * 1e3:.0f} ms"
-        longest = f"{summary.round_trip_p95 * 1e3:.0f} ms"
-        cells["round trip"] = f"{median}, 95 % {longest}, of {summary.round_trips}"
+        cells["round trip"] = (
+            f"{summary.round_trip * 1e3:.0f} ms, 95 % {summary.round_trip_p95 * 1e3:.0f} ms, "
+            f"of {summary.round_trips}"
+        )
     if summary.invalid:
         cells["invalid"] = f"{summary.invalid}"
     return cells
@@ -182,13 +189,9 @@ def summary_table(
     """Format the figures of the runs on each link as a table, with lines below it."""
     # First what is counted, then the figures.
     corner = "behind the wire"
-    counts = {link: count_cells(summary) for link, summary in rows}
-    lines = [
-        {corner: name, **{link: cells.get(name, "") for link, cells in counts.items()}}
-        for name in dict.fromkeys(name for cells in counts.values() for name in cells)
-    ]
-    figures = figure_cells({link: summary.as_row() for link, summary in rows}, corner)
-    table = make_table(title, [*lines, *figures])
+    counts = list_lines({link: count_cells(summary) for link, summary in rows}, corner)
+    figures = {link: figure_cells(summary.as_row()) for link, summary in rows}
+    table = make_table(title, [*counts, *list_lines(figures, corner)])
 
     # What makes the figures doubtful stands below them.
     captions = [escape_text(note) for note in notes]
@@ -224,9 +227,9 @@ def write_evaluation_page(
 
     # Pages of worlds without people don't explain their figures.
     note = "" if math.isnan(summary.closest_person) else f"\n{PEOPLE_NOTE}"
-    table = fill_cells(figure_cells({"mean and 95 % interval": summary.as_row()}))
+    figures = {"mean and 95 % interval": figure_cells(summary.as_row())}
     sections = [
-        page.Section("All figures", f"{INTERVAL_NOTE}{note}", table),
+        page.Section("All figures", f"{INTERVAL_NOTE}{note}", fill_cells(list_lines(figures))),
         page.Section("Episodes", figures=[plot]),
     ]
     page.write_page(path, title, sections)

@@ -47,7 +47,7 @@ from acsar_gym.tools.policies import (
 from acsar_gym.tools.policies.document import RETRAIN_HINT, env_policy_rate
 from acsar_gym.tools.policies.policy import PolicyContext
 from acsar_gym.worlds import registry
-from acsar_gym.worlds.sets import name_alone
+from acsar_gym.worlds.sets import name_alone, name_sources
 
 Env = gymnasium.Env[Any, Any]
 MAX_EPISODES = 10**6
@@ -139,8 +139,6 @@ def load_policy(policy: Any, *, trust: bool, env: str = "") -> FilePolicy:
         if env_id:
             policy.env_id = env_id
             policy.env_named = True
-        if not policy.path.is_file():
-            policy.instance = policy
         return policy
     if is_callable(policy):
         return CallablePolicy(policy, env_id)
@@ -186,8 +184,8 @@ def make_env(policy: FilePolicy, link: str | Link, robot: Any, options: Mapping[
         pool = getattr(env.unwrapped, "pool", None)
         if "worlds" not in kwargs and pool is not None and pool.split == registry.TRAIN:
             env.close()
-            tested = [f"{group.generator}:{registry.TEST}" for group in pool.sets]
-            env = gymnasium.make(env_id, **kwargs, worlds=tested if tested[1:] else tested[0])
+            tested = name_sources([f"{group.generator}:{registry.TEST}" for group in pool.sets])
+            env = gymnasium.make(env_id, **kwargs, worlds=tested)
     except (gymnasium.error.Error, ImportError, TypeError) as error:
         raise PolicyError(f"{policy.path}: made for {env_id}: {format_error(error)}") from error
 
@@ -251,7 +249,7 @@ PolicyLoader = Callable[[], FilePolicy]
 
 def send_policy(policy: FilePolicy) -> PolicyLoader:
     """Return what loads a policy in another process: code by its name, others by their bytes."""
-    if policy.instance is not None or not isinstance(policy, CallablePolicy):
+    if not isinstance(policy, CallablePolicy) or policy.instance is not None:
         return partial(load_policy, policy, trust=False)
     name = f"{policy.path}:{policy.function}" if policy.function else str(policy.path)
     return partial(_load_code, name, policy.env_id, policy.sha256)
@@ -319,7 +317,6 @@ def evaluate_policy(
         **options: Other arguments of the env.
     """
     # Several processes need robots of their own.
-    resets: Resets = [(seed, {}) for seed in seeds]
     workers = 1 if workers is None else workers
     is_parallel = workers != 1
     if is_parallel and link not in BODIES:
@@ -330,19 +327,17 @@ def evaluate_policy(
     if is_parallel and options.get("record") is not None:
         raise ConfigError("--record: one process records: leave out --workers")
 
-    def drive(env: Env) -> Iterator[Episode]:
-        results: Generator[Any, None, None]
+    # The env of this process checks the policy first, before others start.
+    resets: Resets = [(seed, {}) for seed in seeds]
+    load = send_policy(policy)
+    config = RobotConfig.of(robot)
+    job = EpisodeJob(load, link, config, options, resets=resets, late_share=late_share)
+
+    def drive(env: Env) -> Iterable[Episode]:
+        running = episodes.run_resets(env, policy, resets, late_share)
         if is_parallel:
-            load = send_policy(policy)
-            config = RobotConfig.of(robot)
-            job = EpisodeJob(load, link, config, options, resets=resets, late_share=late_share)
-            results = run_jobs(run_job, _split_job(job, workers), workers)
-            running = (episode for _, driven in results for episode in driven)
-        else:
-            running = results = episodes.run_resets(env, policy, resets, late_share)
-        title = f"episodes, {report.escape_text(link)}"
-        with contextlib.closing(results):
-            yield from report.watch_progress(title, running, len(seeds))
+            running = _run_parts(job, workers)
+        return report.watch_progress(f"episodes, {report.escape_text(link)}", running, len(seeds))
 
     about = {"late_share": late_share}
     done = drive_episodes(policy, link, robot, drive, about=about, seeds=seeds, **options)
@@ -351,11 +346,15 @@ def evaluate_policy(
     return done
 
 
-def _split_job(job: EpisodeJob, workers: int) -> Iterator[EpisodeJob]:
-    """Yield parts of a job, so small that no worker waits long for the last of them."""
-    size = max(1, min(MAX_PART_EPISODES, len(job.resets) // (PARTS_PER_WORKER * workers)))
-    for first in range(0, len(job.resets), size):
-        yield replace(job, resets=job.resets[first : first + size])
+def _run_parts(job: EpisodeJob, workers: int) -> Generator[Episode, None, None]:
+    """Run a job in several processes, and yield its episodes in order of completion."""
+    # Parts are so small that no worker waits long for the last of them.
+    count = len(job.resets)
+    size = max(1, min(MAX_PART_EPISODES, count // (PARTS_PER_WORKER * max(1, workers))))
+    parts = [replace(job, resets=job.resets[i : i + size]) for i in range(0, count, size)]
+    with contextlib.closing(run_jobs(run_job, parts, workers)) as results:
+        for _, driven in results:
+            yield from driven
 
 
 def drive_to_goal(
@@ -429,10 +428,8 @@ def drive_episodes(
             warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=2)
         for episode in drive(env):
             results.append(episode)  # noqa: PERF402 - an error must leave the others
-    except (EmergencyStopError, KeyboardInterrupt) as error:
-        ended = error
-    except LinkError as error:
-        if not results:
+    except (LinkError, KeyboardInterrupt) as error:
+        if not results and not isinstance(error, EmergencyStopError | KeyboardInterrupt):
             raise
         ended = error
     finally:

@@ -45,6 +45,7 @@ def numbers_of(instance: Any) -> Any:
 def bind_methods(kind: type, template: Any, methods: Mapping[str, str]) -> Callable[..., None]:
     """Make a copy of a loop that calls the methods of one class, compiled at the first call."""
     bound = {name: numba.njit(**OPTIONS)(getattr(kind, method)) for name, method in methods.items()}
+    # numba keeps compiled code next to the file that a function's code names.
     file = getattr(sys.modules[kind.__module__], "__file__", None) or __file__
     code = template.__code__.replace(co_filename=file, co_firstlineno=1)
     copy = FunctionType(code, template.__globals__ | bound, template.__name__)
@@ -81,6 +82,7 @@ def name_error(name: str, error: Exception) -> ConfigError:
     """Name the task or sensor whose compiled methods can't be compiled, or raise an error."""
     if not isinstance(error, NumbaError):
         return ConfigError(f"{name}: {type(error).__name__}: {error}, in a compiled method")
+    # The innermost function that numba names is the user's.
     functions = re.findall(r"<function ([\w.<>]+) at ", str(error))
     function = f"{functions[-1]}()" if functions else "a method"
     return ConfigError(f"{name}: numba can't compile {function}\n{error}")

@@ -71,6 +71,7 @@ def bound_speed(robots: Robots, i: int) -> float:
     rules = robots.rules
     smallest = min(rules.left_radius[i], rules.right_radius[i])
     wanted = robots.max_linear[i] + 0.5 * rules.separation[i] * robots.max_angular[i]
+    # Motors may already turn faster than the newest command asks for.
     turning = 0.0
     for k in range(4):
         set_point = physics.gain[k, i] * wanted / smallest
@@ -110,6 +111,7 @@ def survey_movers(
     robots: Robots, i: int, robot: int, crowds: Crowds, scans: Scans, setup: Setup
 ) -> None:
     """Place robot i's movers at the end of a step, and compute what info reports of them."""
+    # Movers far away weren't moved in the step, see `advance_crowd`.
     hall = hall_of(robots, i, crowds, scans=scans, setup=setup)
     ticks = robots.loops[i] / setup.loops
     place_crowd(hall, crowds.states[robot], ticks * setup.period)

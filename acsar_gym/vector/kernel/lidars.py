@@ -15,8 +15,7 @@ from acsar_gym.lidar.simulated import (
 )
 from acsar_gym.sensors.map.movers import MOVER_NAMES, fill_movers
 from acsar_gym.sensors.map.sensor import MAP_NAMES, clear_map, update_map
-from acsar_gym.trigonometry import sincos
-from acsar_gym.vector.kernel.crowds import passers_of
+from acsar_gym.vector.kernel.crowds import motion_in_world, passers_of
 from acsar_gym.vector.kernel.layout import (
     BLOCK_ROBOTS,
     ODOMETRY,
@@ -41,16 +40,12 @@ def check_contacts(robots: Robots, count: int, around: Surroundings) -> None:
     """Set `contact` of robots that touch an obstacle now."""
     for i in range(count):
         if robots.true_contact[i] == 0.0:
-            x, y = to_world(robots, i, robots.true_x[i], robots.true_y[i])
-            s, c = sincos(robots.theta[i])
-            start_cos = robots.start_cos[i]
-            start_sin = robots.start_sin[i]
-
+            motion = motion_in_world(robots, i)
             is_contact = footprint_collides(
-                x,
-                y,
-                start_cos * c - start_sin * s,
-                start_sin * c + start_cos * s,
+                motion.x,
+                motion.y,
+                motion.cos,
+                motion.sin,
                 which=int(robots.world[i]),
                 around=around,
                 kind=int(robots.kind[i]),

@@ -1,21 +1,18 @@
-"""The map as a sensor: what it adds to the observation, for a single robot and in a batch."""
+"""The map as a sensor: what it adds to the observation. Parity tests compare batches with it."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
-import acsar_gym  # noqa: F401 - registers the ids
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config.footprint import outline_radius, outline_reach
-from acsar_gym.envs import ids
 from acsar_gym.errors import ConfigError
 from acsar_gym.sensors import LIDAR, MAP, MOVERS
-from acsar_gym.sensors.map.seen import CELL_SIDE, OCCUPIED
+from acsar_gym.sensors.map.seen import CELL_SIDE
 from acsar_gym.sensors.map.sensor import (
     FARTHEST_CLEARANCE,
     SECTORS,
@@ -23,10 +20,6 @@ from acsar_gym.sensors.map.sensor import (
     clear_map,
     length_of_share,
 )
-from acsar_gym.sensors.map.tracks import AGE
-from acsar_gym.worlds import World
-from acsar_gym.worlds.movers import walk
-from acsar_gym.worlds.world import Region
 
 ACSAR = RobotConfig.preset("acsar")
 CIRCLE = tuple((0.3 * math.cos(a), 0.3 * math.sin(a)) for a in np.arange(24) * math.tau / 24)
@@ -34,18 +27,6 @@ ROUND = ACSAR.with_(footprint=CIRCLE, lidar_x_offset=0.12, lidar_y_offset=-0.08)
 LONG = ACSAR.with_(lidar_x_offset=0.1, lidar_y_offset=0.05, lidar={"rays": 96, "max_range": 9.0})
 HALF_TURN = ACSAR.with_(lidar={"rays": 61, "field_of_view": math.pi})
 ORIGIN = (0.0, 0.0, 0.0)
-STEP = 0.1
-"""Time between two scans [s]."""
-CROWDED = World(
-    circles=np.array([(3.0, 1.5, 0.2), (2.0, -2.5, 0.3)]),
-    start=Region(0.0, 0.0, 0.0, 0.0),
-    goal=Region(7.0, 0.0),
-    movers=(
-        walk([(3.0, -2.0), (3.0, 2.0)], 0.8),
-        walk([(6.0, 0.6), (0.5, 0.6)], 1.2),
-        walk([(1.5, 2.5), (4.0, -1.0)], 0.5, reacts=True),
-    ),
-)
 
 
 def clearances(numbers: dict[str, float]) -> Any:
@@ -106,49 +87,10 @@ def test_map_of_a_lidar_that_only_sees_ahead_remembers_what_is_behind(make_map: 
 
 
 @pytest.mark.parametrize(
-    ("robot", "kind", "options"),
-    [
-        ("jackal", "obstacle_goal", {"worlds": CROWDED, "sensors": [MOVERS]}),
-        ("drawn:3", "barn", {"worlds": "barn:4"}),
-    ],
-)
-def test_map_of_a_batch_is_that_of_the_single_env(robot: str, kind: str, options: Any) -> None:
-    batch: Any = ids.make_vec(ids.full_id(kind), 3, threads=1, robot=robot, **options)
-    single: Any = gymnasium.make(ids.full_id(kind), link="planar", robot=robot, **options)
-    batch.reset(seed=41)
-    single.reset(seed=42)
-    single_map = single.unwrapped.sensors[0].records[0]
-    rng = np.random.default_rng(0)
-    terminated = False
-    matched = 0
-    for _ in range(40):
-        if terminated:
-            break
-        actions = rng.uniform([0.0, -0.4], [0.3, 0.4], (3, 2)).astype(np.float32)
-        observations, *_ = batch.step(actions)
-        observation, _, terminated, _, _ = single.step(actions[1])
-        np.testing.assert_allclose(observations[1], observation, rtol=0.0, atol=1e-6)
-
-        batch_map = batch.batch.maps.records[1].copy()
-        for name in ("points", "draft"):  # what lies behind the corners is of older ways
-            batch_map[name][batch_map["corners"] :] = single_map[name][single_map["corners"] :]
-        for name in set(single_map.dtype.names) - {"draft"}:
-            np.testing.assert_allclose(
-                batch_map[name], single_map[name], rtol=0.0, atol=1e-9, err_msg=name
-            )
-        matched += int((single_map["tracks"][:, AGE] > 5.0).sum())
-    assert (single_map["counts"] >= OCCUPIED).any()
-    assert matched > 10
-    batch.close()
-    single.close()
-
-
-@pytest.mark.parametrize(
     ("sensors", "message"),
     [
         ([MAP], "sensor 'map': the robot has no 'lidar', which it needs"),
         ([MOVERS, LIDAR], "sensor 'movers': the robot has no 'map', which it needs"),
-        (["muvers"], "did you mean 'movers'"),
     ],
 )
 def test_map_needs_a_lidar_and_movers_a_map(sensors: list[str], message: str) -> None:

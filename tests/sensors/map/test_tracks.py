@@ -23,11 +23,13 @@ STEP = 0.1
 
 
 @ROBOTS
-@pytest.mark.parametrize(("speed", "scans"), [(0.4, 20), (1.3, 6), (1.8, 5)])
 @pytest.mark.parametrize(
-    ("start", "direction"),
-    [(2.0 - 1.0j, 1.0j), (3.5 + 0.3j, -1.0), (1.2 + 0.4j, 0.8 + 0.6j)],
-    ids=["across", "nearer", "farther"],
+    ("speed", "scans", "start", "direction"),
+    [
+        (0.4, 20, 2.0 - 1.0j, 1.0j),  # across
+        (1.3, 6, 3.5 + 0.3j, -1.0),  # nearer
+        (1.8, 5, 1.2 + 0.4j, 0.8 + 0.6j),  # farther
+    ],
 )
 def test_tracks_of_a_walker_who_has_been_seen_for_a_while(
     config: RobotConfig, speed: float, scans: int, start: complex, direction: complex, make_map: Any

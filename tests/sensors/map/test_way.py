@@ -110,12 +110,10 @@ def test_search_way_finds_the_cheapest(
     )
 
 
-@pytest.mark.parametrize("goal", [(1.0, 0.3), (-2.0, -2.0)])
-def test_plan_way_is_straight_if_nothing_has_been_seen(goal: tuple[float, float]) -> None:
-    points = plan(make_grid(), goal)
-    assert points[0, :2].tolist() == [0.0, 0.0]
-    assert points[-1, :REMAINING].tolist() == list(goal)
-    assert points[0, REMAINING] == pytest.approx(math.hypot(*goal), rel=0.01)
+def test_plan_way_is_straight_if_nothing_has_been_seen() -> None:
+    points = plan(make_grid(), (1.0, 0.3))
+    assert points[[0, -1], :2].tolist() == [[0.0, 0.0], [1.0, 0.3]]
+    assert points[0, REMAINING] == pytest.approx(math.hypot(1.0, 0.3), rel=0.01)
 
 
 WALL = (1.0, -0.8, 1.0, 0.8)
@@ -127,7 +125,6 @@ DEAD_END = (WALL, (-0.2, 0.8, 1.0, 0.8), (-0.2, -0.8, 1.0, -0.8))
     [
         # back out of the dead end, round its corner at 0.12 m or more, and on
         (DEAD_END, (2.0, 0.0), 2 * math.hypot(0.2, 0.9) + 1.2 + 0.9),
-        ((WALL,), (2.0, 0.0), 2 * math.hypot(1.0, 0.92)),
         ((WALL,), (9.0, 0.0), math.hypot(1.0, 0.92) + math.hypot(8.0, 0.92)),  # far outside
     ],
 )

@@ -1,4 +1,4 @@
-"""ORCA: the half plane that a mover leaves, and what a robot does among movers."""
+"""ORCA: the half planes that obstacles leave, and the velocity within them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from acsar_gym import RobotConfig
 from acsar_gym.tools.baselines.base import RobotUnits
+from acsar_gym.tools.baselines.half_planes import BOX, make_box, solve_programme
 from acsar_gym.tools.baselines.orca import (
     OrcaConstants,
     forbid_movers,
@@ -44,9 +46,7 @@ def test_forbid_movers_leaves_no_velocity_that_meets_the_mover() -> None:
         mover = np.array([*rng.uniform(-2.0, 2.0, 2), *rng.uniform(-1.0, 1.0, 2), 0.25])
         if math.hypot(*mover[:2]) < NEAREST + 0.05:
             continue
-        planes = np.zeros((1, 3))
-        forbid_movers(planes, mover[None], 0.4, CONSTANTS, UNITS)
-        plane = planes[0]
+        (plane,) = forbid_movers(mover[None], 0.4, CONSTANTS, UNITS)
         assert math.hypot(*plane[:2]) == pytest.approx(1.0)
         for velocity in rng.uniform(-1.0, 1.0, (20, 2)):
             within = plane[:2] @ velocity >= plane[2]
@@ -61,8 +61,7 @@ def test_forbid_movers_leaves_a_mover_that_it_touches() -> None:
     """They overlap by 5 cm, so it backs off at 0.5 m/s for 0.1 s, or half of that if shared."""
     mover = np.array([[NEAREST - 0.05, 0.0, 0.0, 0.0, 0.25]])
     for share in (1.0, 0.5):
-        planes = np.zeros((1, 3))
-        forbid_movers(planes, mover, 0.0, CONSTANTS._replace(share=share), UNITS)
+        planes = forbid_movers(mover, 0.0, CONSTANTS._replace(share=share), UNITS)
         assert planes == pytest.approx(np.array([[-1.0, 0.0, 0.5 * share]]))
 
 
@@ -70,8 +69,7 @@ def test_forbid_walls() -> None:
     """The bumper is 0.17 m ahead: a wall at 0.52 m leaves 0.3 m with the margin."""
     footprint = make_surroundings(None, None, CONFIG)
     points = np.array([[0.52, 0.0], [0.52, 0.1], [-0.2, 0.0]])
-    planes = np.zeros((3, 3))
-    forbid_walls(planes, points, CONSTANTS, footprint)
+    planes = forbid_walls(points, CONSTANTS, footprint)
     assert planes == pytest.approx(np.array([[-1, 0, -0.6], [-1, 0, -0.6], [1, 0, 0.0]]))
 
 
@@ -82,3 +80,42 @@ def test_true_tracks_are_in_the_odometry_frame() -> None:
     tracks = true_tracks(truth, (0.0, 1.0, math.pi / 2.0))
     assert tracks == pytest.approx(np.array([[0.0, 2.0, -1.0, 0.0, 0.25]]))
     assert true_tracks(GroundTruth(), (0.0, 0.0, 0.0)).shape == (0, 5)
+
+
+UNIT_BOX = make_box((-1.0, 1.0), (-1.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("rows", "wanted", "nearest"),
+    [
+        ([(-1.0, 0.0, -0.25), (0.0, 1.0, 0.5)], (0.9, 0.1), (0.25, 0.5)),
+        ([(-0.6, -0.8, 0.0)], (0.6, 0.8), (0.0, 0.0)),
+    ],
+)
+def test_solve_programme_finds_the_nearest_point(rows: Any, wanted: Any, nearest: Any) -> None:
+    planes = np.vstack([UNIT_BOX, rows])
+    assert solve_programme(UNIT_BOX, BOX, 2.0, 0.5) == (1.0, 0.5)
+    assert solve_programme(planes, len(planes), *wanted) == pytest.approx(nearest)
+
+
+def test_solve_programme_breaks_the_worst_half_plane_least() -> None:
+    """The least distance from the worst half plane is a linear programme of three variables."""
+    rng = np.random.default_rng(1)
+    empty = 0
+
+    for _ in range(200):
+        angles = rng.uniform(-math.pi, math.pi, 5)
+        offsets = rng.normal(0.2, 0.4, 5)
+        planes = np.vstack([UNIT_BOX, np.column_stack([np.cos(angles), np.sin(angles), offsets])])
+        hard = BOX + 1
+        x, y = solve_programme(planes, hard, 0.0, 0.0)
+        slack = (np.arange(len(planes)) >= hard).astype(float)[:, None]
+        best = linprog(
+            [0, 0, 1], -np.hstack([planes[:, :2], slack]), -planes[:, 2], bounds=(None, None)
+        )
+        if best.fun is not None and best.fun > 1e-6:
+            broken = planes[:, 2] - planes[:, :2] @ (x, y)
+            assert broken[:hard].max() < 1e-9
+            assert broken[hard:].max() == pytest.approx(best.fun, abs=1e-6)
+            empty += 1
+    assert empty > 20

@@ -102,24 +102,21 @@ def test_drive_cell_drives_under_every_condition(name: str) -> None:
 def test_choose_agents_without_names_leaves_out_what_does_not_fit() -> None:
     """Agents for movers drive if the robot senses them, agents that know the truth if named."""
     sets = choose_sets([], ["clutter/acsar", "crowd/acsar"])
-    pairs = {(agent.name, agent.env[10:-3]) for agent in choose(sets=sets)}
-    assert {("dwa", "ObstacleGoal"), ("dwa", "Crowd"), ("orca", "Crowd")} < pairs
-    assert not {("orca", "ObstacleGoal"), ("orca_true", "Crowd")} & pairs
+    chosen = {f"{agent.name} {agent.env[10:-3]}" for agent in choose(sets=sets)}
+    assert {"dwa ObstacleGoal", "dwa Crowd", "orca Crowd"} < chosen
+    assert not {"orca ObstacleGoal", "orca_true Crowd"} & chosen
     kinds = {agent.name: agent.kind for agent in choose("orca_true", "dwa")}
     assert kinds == {"orca_true": "privileged", "dwa": "baseline"}
 
 
 PLANNERS = """
-import math
+def act(seen):
+    return 0.8 * max(seen[1], 0.0), seen[2]
 
 
 class Planner:
     def __call__(self, seen):
-        return 0.8 * max(seen[1], 0.0), math.atan2(seen[2], seen[1])
-
-
-def act(seen):
-    return Planner()(seen)
+        return act(seen)
 
 
 class Own(Planner):
@@ -172,7 +169,6 @@ def test_open_folder_hashes_what_an_agent_imports(module: str, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        (["none.onnx"], "none.onnx"),
         (["barn.onnx"], "--agents barn.onnx: has no policy for PointGoal-v0 of set open/acsar"),
         (["turn_drive.py:act", "turn_drive"], "2 of them are called 'turn_drive'"),
         (["turn_drve"], "--agents 'turn_drve'; did you mean 'turn_drive'"),
@@ -187,7 +183,6 @@ def test_choose_agents_refuses_what_cannot_be_compared(
     with pytest.raises(AcsarError) as error:
         choose(*names)
     assert message in str(error.value)
-    assert "\n" not in str(error.value)
     assert error.value.exit_code == 2
 
 

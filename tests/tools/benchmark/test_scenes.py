@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,6 @@ def test_find_sets_of_this_package() -> None:
     assert {"clutter-unseen/drawn:2004", "crowd-reacting/jackal", "dynabarn/jackal"} < set(sets)
     chosen = [(s.robot, s.score, s.difficulty) for s in (sets["barn-fast"], sets["barn-husky"])]
     assert chosen == [("jackal", "barn_score", None), ("husky", "barn_score_own", 0.2)]
-    assert sets["clutter/acsar"].sha256 != sets["clutter/husky"].sha256
     assert sets["path/acsar"].resets[1] == (100_001, {"world": 100_001})
     assert sets["open/acsar"].resets[1] == (2**33 + 1, {})
 
@@ -74,7 +74,7 @@ def test_find_sets_takes_robots_of_a_user(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     RobotConfig.preset("jackal").save(file)
     sets = {s.name: s for s in find_sets("acsar_gym/Barn-v1", ["jackal", str(file)])}
-    assert sets["barn/jackal"].robot == sets["barn-fast"].robot == "jackal"
+    assert sets["barn/jackal"].robot == "jackal"
     about = sets["barn-fast/mine"].about
     assert (about["robot"], str(tmp_path) in str(about)) == ("mine.yaml", False)
     RobotConfig.preset("jackal").with_(max_linear=1.0).save(file)
@@ -86,9 +86,8 @@ def test_find_sets_takes_robots_of_a_user(tmp_path: Path) -> None:
 
 def test_check_refuses_another_version() -> None:
     changed = SceneSet("acsar_gym/PathFollow-v0", "test", "smooth_path", range(100_001, 100_101))
-    with pytest.raises(ConfigError, match=r"PathFollow-v0 test .* from 100001 on") as caught:
+    with pytest.raises(ConfigError, match=r"PathFollow-v0 test .* from 100001 on"):
         changed.check(1)
-    assert "\n" not in str(caught.value)
     with pytest.raises(ConfigError, match="has 100 scenes, 101 were asked for"):
         changed.check(101)
 
@@ -96,16 +95,16 @@ def test_check_refuses_another_version() -> None:
 def test_hash_world_depends_on_geometry_start_and_goal() -> None:
     circles = np.array([[1.0, 0.5, 0.1]])
     world = World(circles, goal=Region(3.0, 0.0))
-    worlds = [
-        world,
-        World(circles + 0.0001, goal=Region(3.0, 0.0)),
-        World(circles, goal=Region(3.0, 0.1)),
-        World(segments=np.array([[1.0, 0.5, 0.1, 0.0]]), goal=Region(3.0, 0.0)),
-        *(replace(world, movers=[walk([[0.0, y], [4.0, y]])]) for y in (1.0, 1.0001)),
+    changes: list[dict[str, Any]] = [
+        {"circles": circles + 0.0001},
+        {"goal": Region(3.0, 0.1)},
+        {"segments": circles[:, [0, 1, 1, 2]]},
+        *({"movers": [walk([[0.0, y], [4.0, y]])]} for y in (1.0, 1.0001)),
     ]
-    assert len(set(map(hash_world, worlds))) == len(worlds)
+    hashes = {hash_world(replace(world, **change)) for change in (*changes, {})}
+    assert len(hashes) == 6
     same = World(circles + 1e-12, goal=Region(3.0, -1e-12), name="other")
-    assert hash_world(same) == hash_world(world)
+    assert hash_world(same) in hashes
 
 
 def test_published_sets(tmp_path: Path) -> None:

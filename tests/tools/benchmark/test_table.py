@@ -36,19 +36,17 @@ def result() -> dict[str, Any]:
     return result_of(CELLS)
 
 
-def find_row(result: dict[str, Any], agent: str) -> dict[str, Any]:
-    return next(dict(row) for row in result["rows"] if row["agent"] == agent)
-
-
 def test_make_result_joins_training_seeds(result: dict[str, Any]) -> None:
-    ours = find_row(result, "ours")
+    ours = result["rows"][0]
     assert (ours["training_seeds"], ours["episodes"]) == ([0, 1], 8)
     assert (ours["success_rate"], ours["seed_success"]) == (7 / 8, [1.0, 0.75])
     assert ours["score"] == pytest.approx(np.mean(SEED_SCORES))
     assert ours["intervals"]["success_rate"] == list(metrics.wilson_interval(7, 8))
     assert ours["intervals"]["score"] == list(metrics.bootstrap_interval(SEED_SCORES))
     assert set(metrics.FIGURES) == set(ours["intervals"])
+    assert ours["differences"]["score"]["difference"] == pytest.approx(6.2 / 8 - 0.225)
     assert report.list_refusals(result) == ["other: needs a LiDAR"]
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
 def test_bootstrap_interval_contains_the_spread_of_seeds() -> None:
@@ -60,7 +58,7 @@ def test_bootstrap_interval_contains_the_spread_of_seeds() -> None:
     assert metrics.bootstrap_interval([[1.0, math.nan], [math.nan, math.nan]]) == (1.0, 1.0)
 
 
-def test_make_result_compares_with_the_best_baseline_of_each_figure(result: dict[str, Any]) -> None:
+def test_make_result_compares_with_the_best_baseline_of_each_figure() -> None:
     """A baseline is slow, another is fast but fails once. A privileged agent is none."""
     agents = {
         ("ours", "learned"): (0.8, 0.8, 0.8, 0.0),
@@ -69,16 +67,13 @@ def test_make_result_compares_with_the_best_baseline_of_each_figure(result: dict
         ("seer", "privileged"): (1.0, 1.0, 1.0, 1.0),
     }
     compared = result_of({cell(*agent): driven(scores) for agent, scores in agents.items()})
-    assert [row["agent"] for row in compared["rows"]] == ["seer", "ours", "fast", "slow"]
-
-    differences = find_row(compared, "ours")["differences"]
-    assert {name: (d["over"], round(d["difference"], 6)) for name, d in differences.items()} == {
+    rows = {row["agent"]: row["differences"] for row in compared["rows"]}
+    assert list(rows) == ["seer", "ours", "fast", "slow"]
+    assert {name: (d["over"], round(d["difference"], 6)) for name, d in rows["ours"].items()} == {
         "score": ("fast", 0.075),
         "success": ("slow", -0.25),
     }
-    assert find_row(compared, "fast")["differences"]["score"] is None
-    seeds = find_row(result, "ours")["differences"]["score"]
-    assert seeds["difference"] == pytest.approx(6.2 / 8 - 0.225)
+    assert rows["fast"]["score"] is None
 
 
 @pytest.mark.parametrize(
@@ -86,11 +81,9 @@ def test_make_result_compares_with_the_best_baseline_of_each_figure(result: dict
     [
         ("completion_time", {}, 0.5),  # 1 m in 4 s instead of 2 s
         ("completion_time", {"ended": 2.0}, 1.0),
-        ("completion_time", {"shortest": 0.1}, 0.0),
         ("completion_time", {"shortest": math.nan}, 1.0),
         ("completion_time", {"success": False}, 0.0),
         ("cross_track", {"cross_track": 0.01}, 0.9),
-        ("cross_track", {"cross_track": 0.3}, 0.0),
         ("laps", {"told": {"laps": 3.0}}, 3.0),
     ],
 )
@@ -111,13 +104,11 @@ def test_result_table(result: dict[str, Any]) -> None:
     assert "ran into people" not in text  # nobody moves
 
 
-@pytest.mark.parametrize(
-    ("kind", "text"), [(2.0, "0.0 (0.0 to 65.8)"), (1.0, "50.0 (9.5 to 90.5)")]
-)
-def test_main_cells_have_collisions_with_people(kind: float, text: str) -> None:
-    episodes = [episode(0, person_contact=0.0), episode(1, person_contact=kind)]
+def test_main_cells_have_collisions_with_people() -> None:
+    """The robot runs into a person, and a person into the robot, which is no collision."""
+    episodes = [episode(number, person_contact=2.0 - number) for number in range(2)]
     (row,) = result_of({cell("ours"): CellResult(episodes)})["rows"]
-    assert report.main_cells(row)["ran into people [%]"] == text
+    assert report.main_cells(row)["ran into people [%]"] == "50.0 (9.5 to 90.5)"
 
 
 def test_write_csv_latex_and_figure(result: dict[str, Any], tmp_path: Path) -> None:
@@ -152,4 +143,3 @@ def test_write_benchmark_page(result: dict[str, Any], tmp_path: Path) -> None:
     sha256 = result["header"]["scenes"][f"{SCENES.id} {SCENES.name}"]["sha256"]
     for words in ("soft SPL", "other: needs a LiDAR", f"sha256 {sha256}"):
         assert words in html
-    assert json.loads(json.dumps(result, allow_nan=False)) == result

@@ -10,7 +10,7 @@ import pytest
 from acsar_gym.tools.evaluation import episodes, runs
 from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.episodes import run_episodes, run_resets
-from acsar_gym.tools.policies import FilePolicy, OnnxPolicy
+from acsar_gym.tools.policies import OnnxPolicy
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.movers import walk
 
@@ -19,6 +19,12 @@ NEARLY = (
     *("odometry_error", "cross_track", "pose", "told", "closest_person", "time_to_collision"),
 )
 """Fields in which both may differ by rounding. All others are equal."""
+CROSSING = [walk([[x, -2.0], [x, 2.0]], 1.0, spread=8.0) for x in (1.5, 3.0)]
+MEETING = walk([[5.0, 0.1], [-1.0, 0.1]], 0.8, spread=4.0, reacts=True)
+PEOPLE = [
+    World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(5.0, 0.0), movers=movers)
+    for movers in (CROSSING, [*CROSSING, MEETING])
+]
 
 
 def assert_equal(batched: list[Episode], single: list[Episode]) -> None:
@@ -32,49 +38,32 @@ def assert_equal(batched: list[Episode], single: list[Episode]) -> None:
             assert getattr(episode, name) == wanted, (episode.seed, name)
 
 
-def drive_both(
-    policy: FilePolicy, monkeypatch: pytest.MonkeyPatch, **options: Any
-) -> tuple[list[Episode], list[Episode]]:
-    """Twenty episodes as a batch of few robots, and one after the other."""
+@pytest.mark.parametrize(
+    ("name", "options", "varied"),
+    [
+        (
+            "point_goal",
+            {"randomization": {"friction": (0.5, 1.0)}, "max_episode_steps": 45},
+            "success",
+        ),
+        ("obstacle_goal", {"worlds": "clutter:30"}, "length"),
+        ("path_follow", {"worlds": "smooth_path:5"}, "length"),
+        ("obstacle_goal", {"worlds": PEOPLE}, "person_contact"),
+        pytest.param("barn", {"worlds": "barn:10"}, "length", marks=pytest.mark.slow),
+    ],
+)
+def test_run_episodes_as_a_batch_gives_the_results_of_one_robot_after_the_other(
+    name: str, options: dict[str, Any], varied: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = OnnxPolicy(name)
     env = runs.make_env(policy, "planar", None, options)
     monkeypatch.setattr(episodes, "MAX_BATCH", 7)
     assert episodes.make_batch(env, policy, [(0, {})] * 20) is not None
     batched = list(run_episodes(env, policy, 20, 3))
     monkeypatch.setattr(episodes, "make_batch", lambda *_: None)
-    single = list(run_episodes(env, policy, 20, 3))
+    assert_equal(batched, list(run_episodes(env, policy, 20, 3)))
+    assert len({getattr(episode, varied) for episode in batched}) > 1
     env.close()
-    return batched, single
-
-
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("point_goal", {}),
-        ("point_goal", {"randomization": {"friction": (0.5, 1.0)}, "max_episode_steps": 40}),
-        ("obstacle_goal", {"worlds": "clutter:30"}),
-        ("path_follow", {"worlds": "smooth_path:5"}),
-        pytest.param("barn", {"worlds": "barn:10"}, marks=pytest.mark.slow),
-    ],
-)
-def test_run_episodes_as_a_batch_gives_the_results_of_one_robot_after_the_other(
-    name: str, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    batched, single = drive_both(OnnxPolicy(name), monkeypatch, **options)
-    assert_equal(batched, single)
-    assert len({episode.length for episode in batched}) > 3 or "max_episode_steps" in options
-
-
-def test_run_episodes_as_a_batch_measures_people(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some walk into the robot's way, some react to it."""
-    ends: dict[str, Any] = {"start": Region(0.0, 0.0, 0.0, 0.0), "goal": Region(5.0, 0.0)}
-    crossing = [walk([[x, -2.0], [x, 2.0]], 1.0, spread=8.0) for x in (1.5, 3.0)]
-    meeting = walk([[5.0, 0.1], [-1.0, 0.1]], 0.8, spread=4.0, reacts=True)
-    worlds = [World(**ends, movers=crossing), World(**ends, movers=[*crossing, meeting])]
-    batched, single = drive_both(OnnxPolicy("obstacle_goal"), monkeypatch, worlds=worlds)
-    assert_equal(batched, single)
-    assert len({episode.person_contact for episode in batched}) > 1
-    assert all(episode.closest_person < 10.0 for episode in batched)
-    assert any(episode.intrusions for episode in batched)
 
 
 def test_run_resets_as_a_batch_drives_in_the_named_worlds() -> None:
@@ -88,18 +77,17 @@ def test_run_resets_as_a_batch_drives_in_the_named_worlds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "resets"),
+    ("name", "options", "reset"),
     [
-        ("turn_drive", {}, [(0, {})] * 20),  # has a memory
-        ("point_goal", {}, [(0, {})] * 5),  # few
-        ("point_goal", {}, [(0, {"goal": (1.0, 0.0)})] * 20),
-        ("point_goal", {"faults": {"dropped_lines": 0.1}}, [(0, {})] * 20),
+        ("turn_drive", {}, {}),  # has a memory
+        ("point_goal", {}, {"goal": (1.0, 0.0)}),
+        ("point_goal", {"faults": {"dropped_lines": 0.1}}, {}),
     ],
 )
 def test_make_batch_leaves_others_to_single_envs(
-    name: str, options: dict[str, Any], resets: list[Any]
+    name: str, options: dict[str, Any], reset: dict[str, Any]
 ) -> None:
     policy = runs.load_policy(name, trust=False, env="point_goal")
     env = runs.make_env(policy, "planar", None, options)
-    assert episodes.make_batch(env, policy, resets) is None
+    assert episodes.make_batch(env, policy, [(0, reset)] * 20) is None
     env.close()

@@ -1,9 +1,11 @@
-"""Rates, path lengths and intervals, against hand-made and independent figures."""
+"""Rates, path lengths and intervals, against hand-made and independent figures, and tables."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
+from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium
@@ -14,6 +16,7 @@ from acsar_gym import RobotConfig, RobotEnv, State
 from acsar_gym.config.footprint import make_rectangle
 from acsar_gym.links.lateness import EpisodeTiming, TickTiming
 from acsar_gym.tasks import PointGoal
+from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.evaluation.episode import Episode, footprint_clearance, mean_jerk
 from acsar_gym.tools.evaluation.episodes import run_episodes
 from acsar_gym.tools.evaluation.metrics import (
@@ -21,7 +24,6 @@ from acsar_gym.tools.evaluation.metrics import (
     summarise_episodes,
     wilson_interval,
 )
-from acsar_gym.tools.evaluation.report import count_cells
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.movers import walk
 
@@ -44,7 +46,6 @@ def result(**changes: Any) -> Episode:
         ({}, 0.8, 0.8),
         ({"driven": 3.9}, 1.0, 1.0),  # the tolerance makes ways a little shorter
         ({"success": False, "left": 3.0, "driven": 1.0}, 0.0, 0.25),
-        ({"success": False, "left": math.inf}, 0.0, 0.0),
         ({"shortest": math.nan}, math.nan, math.nan),
     ],
 )
@@ -96,25 +97,40 @@ def test_summarise_episodes_joins_round_trips() -> None:
     timings = [EpisodeTiming(nothing, times) for times in trips]
     summary = summarise_episodes([result(timing=timing) for timing in timings])
     assert (summary.round_trip, summary.round_trips) == (0.05, 21)
-    assert count_cells(summary)["round trip"] == "50 ms, 95 % 80 ms, of 21"
-    assert "round trip" not in count_cells(summarise_episodes([result()]))
+    assert report.count_cells(summary)["round trip"] == "50 ms, 95 % 80 ms, of 21"
+    assert "round trip" not in report.count_cells(summarise_episodes([result()]))
 
 
-def drive(world: World, action: Any = FORWARD, link: str = "planar", steps: int = 200) -> Episode:
-    env_id = "acsar_gym/ObstacleGoal-v1"
-    env = gymnasium.make(env_id, link=link, worlds=world, max_episode_steps=steps)
-    (episode,) = run_episodes(env, lambda _: action, 1, seed=0)
+def test_summary_table_has_a_line_for_each_known_figure() -> None:
+    rows = [(name, summarise_episodes([result()] * n)) for name, n in (("a", 3), ("b", 1))]
+    table = report.summary_table("", rows, ["A note."])
+    figures, first, second = (list(column.cells) for column in table.columns)
+    assert (first[0], second[0]) == ("3/3 (100.0%)", "1/1 (100.0%)")
+    place = figures.index("success [%]")
+    assert (first[place], second[place]) == ("100.0 (43.9 to 100.0)", "100.0 (20.7 to 100.0)")
+    assert {"SPL", "struck [%]"} < {*figures}
+    assert "ran into people [%]" not in figures
+    assert table.caption == "A note."
+
+    # Odometry that is off by 20 cm.
+    doubtful = summarise_episodes([result(odometry_error=0.2)])
+    assert "off by 0.20 m" in str(report.summary_table("", [("a", doubtful)]).caption)
+
+
+def test_write_evaluation_page(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    episodes = [result(seed=0)] * 3
+    path = tmp_path / "page.html"
+    report.write_evaluation_page(path, "episodes", summarise_episodes(episodes), episodes)
+    html = path.read_text(encoding="utf-8")
+    assert "<td>success [%]</td><td>100.0 (43.9 to 100.0)</td>" in html
+
+
+def drive(env: Any, action: Any, **options: Any) -> Episode:
+    """An episode with the same action at every step."""
+    (episode,) = run_episodes(env, lambda _: action, 1, seed=0, **options)
     env.close()
     return episode
-
-
-def test_measure_episode_of_a_crash() -> None:
-    episode = drive(among(circles=np.array([[1.0, 0.0, 0.2]])), link="bullet")
-    assert (episode.success, episode.collision) == (False, True)
-    assert 4.02 < episode.shortest < 4.2  # round the pillar
-    assert 3.4 < episode.left < 3.9
-    assert 0.05 < episode.soft_spl < 0.2
-    assert episode.clearance == 0.0
 
 
 def among(*movers: Any, **obstacles: Any) -> World:
@@ -123,36 +139,65 @@ def among(*movers: Any, **obstacles: Any) -> World:
 
 
 @pytest.mark.parametrize(
-    ("path", "action", "contact", "rate"),
+    ("world", "action", "link", "wanted"),
     [
-        ([[1.0, 0.0]], FORWARD, 1.0, "collision_rate"),
-        ([[2.0, 0.0], [-2.0, 0.0]], STAND, 2.0, "struck_rate"),
+        (  # a crash
+            among(circles=np.array([[1.0, 0.0, 0.2]])),
+            FORWARD,
+            "bullet",
+            {
+                "collision": True,
+                "shortest": pytest.approx(4.11, abs=0.09),  # round the pillar
+                "left": pytest.approx(3.65, abs=0.25),
+                "clearance": 0.0,
+            },
+        ),
+        (
+            among(segments=np.array([[-1.0, 0.5, 9.0, 0.5]])),
+            FORWARD,
+            "bullet",
+            {
+                "success": True,
+                "clearance": pytest.approx(0.5 - HALF_WIDTH, abs=1e-3),
+                "energy": pytest.approx(0.512, rel=0.1),
+                "jerk": pytest.approx(5.0, abs=5.0),
+            },
+        ),
+        (  # the robot runs into a person
+            among(walk([[1.0, 0.0]])),
+            FORWARD,
+            "planar",
+            {"collision_rate": 1.0, "person_collision_rate": 1.0, "closest_person": 0.0},
+        ),
+        (  # a person runs into the robot
+            among(walk([[2.0, 0.0], [-2.0, 0.0]], 1.0)),
+            STAND,
+            "planar",
+            {"collision_rate": 0.0, "person_collision_rate": 0.0, "struck_rate": 1.0},
+        ),
+        (  # twice within the personal space of one, another stays away
+            among(walk([[-2.0, 0.8], [2.0, 0.8]], 1.0, radius=0.25), walk([[0.0, -3.0]])),
+            STAND,
+            "planar",
+            {
+                "person_contact": 0.0,
+                "closest_person": pytest.approx(0.8 - HALF_WIDTH - 0.25, abs=1e-3),
+                "intrusion_rate": pytest.approx(15.0),
+                "time_to_collision": 10.0,  # nobody aims at the robot
+            },
+        ),
     ],
 )
-def test_measure_episode_of_a_contact_with_a_person(
-    path: Any, action: Any, contact: float, rate: str
+def test_measure_episode_in_a_world(
+    world: World, action: Any, link: str, wanted: dict[str, Any]
 ) -> None:
-    """It is a collision only if the robot ran into the person."""
-    episode = drive(among(walk(path, 1.0)), action)
-    assert (episode.success, episode.collision) == (False, contact == 1.0)
-    assert (episode.person_contact, episode.closest_person) == (contact, 0.0)
-    assert math.isnan(episode.clearance)  # of what stands
-    summary = summarise_episodes([episode])
-    assert (getattr(summary, rate), summary.timeout_rate) == (1.0, 0.0)
-    assert summary.person_collision_rate == (contact == 1.0)
-    assert summary.collision_rate + summary.struck_rate == 1.0
-
-
-def test_measure_episode_among_people_who_pass() -> None:
-    """One walks past the robot's side, twice into its personal space, another stays away."""
-    radius = 0.25
-    passing = walk([[-2.0, 0.8], [2.0, 0.8]], 1.0, radius=radius)
-    episode = drive(among(passing, walk([[0.0, -3.0]])), STAND, steps=80)
-    assert (episode.collision, episode.person_contact) == (False, 0.0)
-    assert episode.closest_person == pytest.approx(0.8 - HALF_WIDTH - radius, abs=1e-3)
-    assert episode.intrusions == 2.0
-    assert episode.time_to_collision == 10.0  # it never aims at the robot
-    assert summarise_episodes([episode]).intrusion_rate == pytest.approx(15.0)
+    steps = 80 if action is STAND else 200
+    env = gymnasium.make(
+        "acsar_gym/ObstacleGoal-v1", link=link, worlds=world, max_episode_steps=steps
+    )
+    episode = drive(env, action)
+    measured = vars(summarise_episodes([episode])) | dataclasses.asdict(episode)
+    assert {name: measured[name] for name in wanted} == wanted
 
 
 class Detour(PointGoal):
@@ -166,13 +211,11 @@ class Detour(PointGoal):
 
 @pytest.mark.parametrize(
     ("way", "length"),
-    [(1.8, 1.8), ((), 0.0), (None, math.nan), (np.array([[3.0, 0.0], [0.0, 0.0]]), 6.0)],
+    [(1.8, 1.8), (None, math.nan), (np.array([[3.0, 0.0], [0.0, 0.0]]), 6.0)],
 )
 def test_measure_episode_with_the_tasks_own_way(way: Any, length: float) -> None:
     task = type("Other", (Detour,), {"way": way})()
-    env = gymnasium.wrappers.TimeLimit(RobotEnv(task, link="planar"), 20)
-    (episode,) = run_episodes(env, lambda _: FORWARD, 1, seed=0)
-    env.close()
+    episode = drive(gymnasium.wrappers.TimeLimit(RobotEnv(task, link="planar"), 20), FORWARD)
     assert episode.shortest == pytest.approx(length, nan_ok=True)
     if isinstance(way, np.ndarray):
         assert episode.left == pytest.approx(6.0 - episode.driven, abs=0.01)
@@ -180,8 +223,7 @@ def test_measure_episode_with_the_tasks_own_way(way: Any, length: float) -> None
 
 def test_measure_episode_of_a_path() -> None:
     env = gymnasium.make("acsar_gym/PathFollow-v0", link="planar")
-    (episode,) = run_episodes(env, lambda _: FORWARD, 1, seed=0, path=[(0.0, 0.1), (1.0, 0.1)])
-    env.close()
+    episode = drive(env, FORWARD, path=[(0.0, 0.1), (1.0, 0.1)])
     assert episode.success
     assert episode.cross_track == pytest.approx(0.1, abs=0.01)
     assert math.isnan(episode.shortest)
@@ -197,9 +239,7 @@ def test_mean_jerk_is_the_third_derivative_of_the_way() -> None:
     assert math.isnan(mean_jerk(poses[:3], 0.1))
 
 
-@pytest.mark.parametrize(
-    ("theta", "ahead", "aside"), [(0.0, 0.5, 0.3), (math.pi / 2.0, 0.2, 0.6), (math.pi, 0.5, 0.3)]
-)
+@pytest.mark.parametrize(("theta", "ahead", "aside"), [(0.0, 0.5, 0.3), (math.pi / 2.0, 0.2, 0.6)])
 def test_footprint_clearance_of_the_nearest_corner(
     theta: float, ahead: float, aside: float
 ) -> None:
@@ -211,15 +251,8 @@ def test_footprint_clearance_of_the_nearest_corner(
 
 
 def test_measure_episode_of_a_spin() -> None:
-    episode = drive(among(), np.array([0.0, -1.0], np.float32), steps=60)
+    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", max_episode_steps=60)
+    episode = drive(env, np.array([0.0, -1.0], np.float32))
     assert episode.turning > math.tau
     assert episode.driven < 0.05
     assert episode.pose[2] == pytest.approx(math.remainder(-episode.turning, math.tau), abs=1e-6)
-
-
-def test_measure_episode_beside_a_wall() -> None:
-    world = among(segments=np.array([[-1.0, 0.5, 9.0, 0.5]]))
-    episode = drive(world, link="bullet")
-    assert episode.clearance == pytest.approx(0.5 - HALF_WIDTH, abs=1e-3)
-    assert episode.energy > 0.0
-    assert 0.0 < episode.jerk < 10.0
