@@ -357,7 +357,7 @@ class Robot:
             self.sensors.poll()
 
     def _measure_timing(self, stopwatch: EpisodeStopwatch, speeds: Speeds) -> None:
-        self.lateness = stopwatch.tick(self.link.lateness or 0.0)
+        self.lateness = stopwatch.tick(self.link.lateness or 0.0, self.wire.age)
         fastest = max(map(abs, self.wire.speeds))
         if stopwatch.commanded(self.wire.written, fastest, drives=any(speeds)):
             stopwatch.heard(self.link.arrivals, self.wire.stamp)

@@ -9,7 +9,9 @@ the others change the bytes at the board's connector.
 
 from __future__ import annotations
 
+import argparse
 import math
+import re
 import sys
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -21,7 +23,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import LinkLostError
 from acsar_gym.links import open_link
-from acsar_gym.links.base import Arrivals, Link, LinkWrapper
+from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.links.simulated import SimulatedLink
 from acsar_gym.physics.bodies import make_body
 from acsar_gym.physics.body import Body
@@ -37,34 +39,19 @@ RUNAWAY_SPEED = 14.4
 that the speed loop drives it away from its command [rad/s]."""
 LINE_JITTER = 0.01
 """Lines arrive up to this much early or late [s]."""
-MOTOR_QUIRKS = ("backward-gain", "overshoot", "reversal-hold")
-"""Quirks of motors, outside the model that `identify` fits. Their value is a number."""
-CONFIG_QUIRKS = {
-    "swapped-encoders",
-    "swapped-motors",
-    "reversed-encoder",
-    "reversed-motor",
-    "no-timeout",
-    "command-timeout",
-    "feedback-rate",
+NAMES = {
+    # Of motors, outside the model that `identify` fits: numbers.
+    *("backward-gain", "overshoot", "reversal-hold"),
+    # Of wiring and timing.
+    *("swapped-encoders", "swapped-motors", "reversed-encoder", "reversed-motor"),
+    *("no-timeout", "command-timeout", "feedback-rate"),
+    # Of bytes. Times: from the first command until it is "frozen", between "resets", by which an
+    # "echo" is late, and between the beginnings of STALE_TIME, in which it repeats a line [s].
+    *("at-comma", "no-comma", "dead-wheel", "dead-encoder", "runaway", "feedback-factor"),
+    *("frozen", "resets", "echo", "stale", "set-points", "upper-case-commands"),
+    *("unpadded", "padded-space"),
 }
-BYTE_QUIRKS = {
-    "at-comma": "",
-    "no-comma": "",
-    "dead-wheel": "",
-    "dead-encoder": "",
-    "runaway": "",
-    "feedback-factor": "",
-    "frozen": "1",  # s after its first command
-    "resets": "1",  # every so many seconds
-    "echo": "0.005",  # how late each command comes back [s]
-    "stale": "3",  # how often a line is repeated for STALE_TIME [s]
-    "set-points": "",  # the commanded speeds as feedback
-    "upper-case-commands": "",
-    "unpadded": "",
-    "padded-space": "",
-}
-"""Quirks of bytes, and their values if none is given."""
+"""Names of quirks. "set-points" sends the commanded speeds as feedback."""
 MIRRORED_LETTERS = str.maketrans("abcd", "badc")
 """Letters of the wheels on the other side."""
 
@@ -74,23 +61,19 @@ Quirks = dict[str, str]
 
 def parse_quirks(quirks: Sequence[str]) -> Quirks:
     """Quirks such as "at-comma" and "dead-wheel=c" by name."""
-    parsed: Quirks = {}
-    for quirk in quirks:
-        name, _, value = quirk.partition("=")
-        assert name in {*MOTOR_QUIRKS, *CONFIG_QUIRKS, *BYTE_QUIRKS}, quirk
-        parsed[name] = value or BYTE_QUIRKS.get(name, "")
+    parsed = {name: value for name, _, value in (quirk.partition("=") for quirk in quirks)}
+    assert parsed.keys() <= NAMES, quirks
     return parsed
 
 
 def apply_to_config(quirks: Quirks, config: RobotConfig) -> RobotConfig:
     """Return the config of a robot with these quirks of wiring and timing."""
     firmware: dict[str, Any] = {}
-    if "command-timeout" in quirks:
-        firmware["command_timeout"] = float(quirks["command-timeout"])
+    for name in ("command-timeout", "feedback-rate"):
+        if name in quirks:
+            firmware[name.replace("-", "_")] = float(quirks[name])
     if "no-timeout" in quirks:
         firmware["command_timeout"] = None
-    if "feedback-rate" in quirks:
-        firmware["feedback_rate"] = float(quirks["feedback-rate"])
 
     wheels: dict[str, dict[str, Any]] = config.wheels.model_dump()
     for wheel in wheels.values():
@@ -105,19 +88,19 @@ def apply_to_config(quirks: Quirks, config: RobotConfig) -> RobotConfig:
 
 def make_link(name: str, config: RobotConfig, quirks: Quirks) -> Link:
     """Make a simulated robot with these quirks. The config has those of wiring and timing."""
-    if quirks.keys().isdisjoint(MOTOR_QUIRKS):
-        link = open_link(name, config)
-    else:
-        motors: Any = QuirkyMotors  # all that a body has
-        link = SimulatedLink(config, lambda: motors(make_body(name, config), config, quirks))
-    return QuirkyLink(link, config, quirks) if quirks.keys() - MOTOR_QUIRKS else link
+    if not quirks:
+        return open_link(name, config)
+    motors: Any = QuirkyMotors  # all that a body has
+    link = SimulatedLink(config, lambda: motors(make_body(name, config), config, quirks))
+    return QuirkyLink(link, config, quirks)
 
 
-def board(*names: str, robot: RobotConfig | None = None) -> QuirkyLink:
+def board(*names: str, robot: RobotConfig | None = None) -> Link:
     """Make a board in simulated time that has these quirks, with the robot's own parameters."""
     quirks = parse_quirks(names)
-    config = apply_to_config(quirks, robot or RobotConfig())
-    return QuirkyLink(open_link("planar", config), config, quirks)
+    link = make_link("planar", apply_to_config(quirks, robot or RobotConfig()), quirks)
+    link.reset(Scene())
+    return link
 
 
 class QuirkyMotors:
@@ -181,11 +164,15 @@ class QuirkyMotors:
 class QuirkyLink(LinkWrapper):
     """A simulated robot whose board differs in the bytes that it takes and sends."""
 
+    arrivals: list[tuple[float, bytes]] = []  # noqa: RUF012 - set by each period
+
     def __init__(self, link: Link, config: RobotConfig, quirks: Quirks) -> None:
         super().__init__(link)
         self._quirks = quirks
         self._comma = config.trailing_comma
         self._top_speed = config.motor.max_speed
+        self._pad = b"" if "unpadded" in quirks else b" " if "padded-space" in quirks else b"0"
+        self._pause = float(quirks.get("frozen") or quirks.get("resets") or math.inf)
 
         def letter_of(quirk: str, part: str) -> int | None:
             """Return the index of the letter of a wheel's motor or encoder."""
@@ -198,7 +185,6 @@ class QuirkyLink(LinkWrapper):
         for name, factor in (("runaway", -1.0), ("dead-encoder", 0.0)):
             if (encoder := letter_of(name, "encoder")) is not None:
                 self._factors[encoder] *= factor
-        self._pause = float(quirks.get("frozen") or quirks.get("resets") or math.inf)
         self.reset(Scene())
 
     def reset(self, scene: Scene) -> None:
@@ -207,36 +193,24 @@ class QuirkyLink(LinkWrapper):
         self._input = b""
         self._command = b""
         self._echoes: deque[tuple[float, bytes]] = deque()
-        self._decoder = Decoder()
-        self._speeds: Speeds = ZERO
         self._sent = b""
-        self._arrived: list[tuple[float, bytes]] = []
+        self.arrivals = []
         self._clock = 0.0
-        self._since_start = 0.0
-        self._stops_at = self._pause
+        self._stops_at = math.inf
         self._wakes_at = -math.inf
-
-    @property
-    def arrivals(self) -> Arrivals:
-        """When the lines of the newest period arrived [s]."""
-        return self._arrived
-
-    @property
-    def _is_off(self) -> bool:
-        return self._since_start < self._wakes_at
 
     def write(self, data: bytes) -> None:
         """Take bytes, unless the board hangs or boots."""
-        if data:
-            self._since_start = max(self._since_start, 1e-9)
-        if self._is_off:
+        if self._clock < self._wakes_at:
             return
+        if data and self._stops_at == math.inf:
+            self._stops_at = self._clock + self._pause
         *lines, self._input = (self._input + data).split(b"\n")
         for line in lines:
             if command := line.strip():
                 self._command = command + b"\r\n"
                 if "echo" in self._quirks:
-                    due = self._clock + float(self._quirks["echo"])
+                    due = self._clock + float(self._quirks["echo"] or 0.005)
                     self._echoes.append((due, self._command))
             self.inner.write(self._take(line) + b"\n")
 
@@ -265,21 +239,18 @@ class QuirkyLink(LinkWrapper):
         """Let time pass, and return what the board sends meanwhile."""
         lines = self.inner.advance(period).splitlines(keepends=True)
         sent = [self._send(line) for line in lines]
-        self._arrived = []
+        self.arrivals = []
         self._clock += period
-        if self._since_start > 0.0:
-            self._since_start += period
-        if self._is_off:
+        if self._clock < self._wakes_at:
             return b""
-        if sent and self._since_start >= self._stops_at:  # in mid-line, with the motors off
+        if sent and self._clock >= self._stops_at:  # in mid-line, with the motors off
             self.inner.write(b"\n" + encode(ZERO))
-            is_restarted = "resets" in self._quirks
-            self._wakes_at = self._since_start + BOOT_TIME if is_restarted else math.inf
+            self._wakes_at = self._clock + BOOT_TIME if "resets" in self._quirks else math.inf
             self._stops_at = self._wakes_at + self._pause
             return sent[0][: len(sent[0]) // 2]
 
         stamps = [stamp for stamp, _ in self.inner.arrivals]
-        self._arrived = list(zip(stamps, sent, strict=False))
+        self.arrivals = list(zip(stamps, sent, strict=False))
         echoes = []
         while self._echoes and self._echoes[0][0] <= self._clock:
             echoes.append(self._echoes.popleft()[1])
@@ -287,31 +258,15 @@ class QuirkyLink(LinkWrapper):
 
     def _send(self, line: bytes) -> bytes:
         """Return how the board writes a line of feedback."""
-        is_repeated = self._clock % float(self._quirks.get("stale", "inf")) <= STALE_TIME
-        if "stale" not in self._quirks or not is_repeated or not self._sent:
-            self._sent = self._write_speeds(line)
+        every = float(self._quirks.get("stale", "inf"))
+        if self._sent and every < math.inf and self._clock % every <= STALE_TIME:
+            return self._sent
+        repeats_commands = "set-points" in self._quirks and self._command
+        for reading in Decoder().feed(self._command if repeats_commands else line):
+            speeds = np.multiply(reading.over(ZERO), self._factors).tolist()
+            line = encode(speeds, trailing_comma=self._comma)
+        self._sent = re.sub(rb"(?<=[pn])0", self._pad, line)
         return self._sent
-
-    def _write_speeds(self, line: bytes) -> bytes:
-        """Return a line with the speeds that the board reports, in its own numbers."""
-        if "set-points" in self._quirks:
-            commands = Decoder().feed(self._command)
-            return encode(commands[-1].over(ZERO), trailing_comma=self._comma) if commands else line
-        width = {"unpadded": "", "padded-space": "5"}
-        form = [width[quirk] for quirk in width if quirk in self._quirks]
-        if not form and self._factors == [1.0] * len(MOTORS):
-            return line
-
-        for reading in self._decoder.feed(line):
-            self._speeds = reading.over(self._speeds)
-        speeds = [speed * factor for speed, factor in zip(self._speeds, self._factors, strict=True)]
-        if not form:
-            return encode(speeds, trailing_comma=self._comma)
-        parts = [
-            f"{motor}{'n' if speed < 0.0 else 'p'}{abs(speed):{form[0]}.2f}"
-            for motor, speed in zip(MOTORS, speeds, strict=True)
-        ]
-        return (",".join(parts) + "," * self._comma + "\r\n").encode()
 
 
 class LikeABoard(LinkWrapper):
@@ -322,54 +277,28 @@ class LikeABoard(LinkWrapper):
     lateness = 0.0
 
 
-class Overshooting(LikeABoard):
-    """A board whose speed loops overshoot, by a quarter of a step."""
-
-    DAMPING = 0.4
-    FREQUENCY = 15.0
-    SUBSTEP = 0.001
-
-    def __init__(self, link: Link) -> None:
-        super().__init__(link)
-        self._decoder = Decoder()
-        self._set_points: Speeds = ZERO
-        self._speeds = np.zeros(4)
-        self._rates = np.zeros(4)
-
-    def advance(self, period: float) -> bytes:
-        readings = self._decoder.feed(super().advance(period))
-        if readings:
-            self._set_points = readings[-1].over(self._set_points)
-        for _ in range(round(period / self.SUBSTEP)):
-            pull = self.FREQUENCY**2 * (np.array(self._set_points) - self._speeds)
-            self._rates += self.SUBSTEP * (pull - 2.0 * self.DAMPING * self.FREQUENCY * self._rates)
-            self._speeds += self.SUBSTEP * self._rates
-        return encode(self._speeds.tolist()) if readings else b""
-
-
 class Fault(NamedTuple):
-    """Factors of what motors get and encoders send, and the order in which speeds are sent."""
+    """What motors get of commands, and what encoders send of speeds: matrices (4, 4)."""
 
-    commands: NDArray[np.float64] = np.ones(4)
-    feedback: NDArray[np.float64] = np.ones(4)
-    order: tuple[int, ...] = (0, 1, 2, 3)
+    commands: NDArray[np.float64] = np.eye(4)
+    feedback: NDArray[np.float64] = np.eye(4)
 
 
-FAULTS: dict[str, Callable[[NDArray[np.bool_]], Fault]] = {
-    "dead": lambda wheel: Fault(commands=np.where(wheel, 0.0, 1.0)),
-    "blocked": lambda wheel: Fault(feedback=np.where(wheel, 0.0, 1.0)),
-    "reversed": lambda wheel: Fault(feedback=np.where(wheel, -1.0, 1.0)),
-    "twice as fast": lambda wheel: Fault(feedback=np.where(wheel, 2.0, 1.0)),
-    "all twice as fast": lambda _: Fault(feedback=np.full(4, 2.0)),
-    "swapped sides": lambda _: Fault(order=(1, 0, 3, 2)),
-    "all zero": lambda _: Fault(feedback=np.zeros(4)),
+FAULTS: dict[str, Callable[[NDArray[np.float64]], Fault]] = {
+    "dead": lambda wheel: Fault(commands=np.eye(4) - wheel),
+    "blocked": lambda wheel: Fault(feedback=np.eye(4) - wheel),
+    "reversed": lambda wheel: Fault(feedback=np.eye(4) - 2.0 * wheel),
+    "twice as fast": lambda wheel: Fault(feedback=np.eye(4) + wheel),
+    "all twice as fast": lambda _: Fault(feedback=2.0 * np.eye(4)),
+    "swapped sides": lambda _: Fault(feedback=np.eye(4)[[1, 0, 3, 2]]),
+    "all zero": lambda _: Fault(feedback=np.zeros((4, 4))),
 }
-"""Faults by name. Their argument is a mask of the faulty wheels."""
+"""Faults by name. Their argument is a matrix (4, 4), which is 1 for the faulty wheel alone."""
 
 
 def make_fault(kind: str, wheel: int) -> Fault:
     """Return a fault by name, of one wheel or of all."""
-    return FAULTS[kind](np.arange(4) == wheel)
+    return FAULTS[kind](np.diag(np.eye(4)[wheel]))
 
 
 class FaultyBoard(LinkWrapper):
@@ -422,8 +351,7 @@ class FaultyBoard(LinkWrapper):
         if math.isnan(self.failed_at) and any(self.sent):
             self.failed_at = self.now() + self._after
         if self._rng.random() >= self._dropped:
-            commands = self._find_fault().commands
-            super().write(encode((commands * self.sent).tolist()))
+            super().write(encode((self._find_fault().commands @ self.sent).tolist()))
 
     def advance(self, period: float) -> bytes:
         for line in super().advance(period).splitlines(keepends=True):
@@ -434,9 +362,7 @@ class FaultyBoard(LinkWrapper):
         lines = b""
         while self._lines and self._lines[0][0] <= self.now():
             for reading in self._feedback.feed(self._lines.popleft()[1]):
-                fault = self._find_fault()
-                speeds = fault.feedback * reading.over(ZERO)
-                a, b, c, d = speeds[list(fault.order)].tolist()
+                a, b, c, d = (self._find_fault().feedback @ reading.over(ZERO)).tolist()
                 self.measured = (a, b, c, d)
                 lines += encode(self.measured)
         return lines
@@ -499,22 +425,14 @@ def emulate() -> None:
     from acsar_gym.tools.cli import main
     from acsar_gym.tools.emulation import board
 
-    first = sys.argv.index("--quirk") if "--quirk" in sys.argv else len(sys.argv)
-    end = first + 1
-    while end < len(sys.argv) and not sys.argv[end].startswith("--"):
-        end += 1
-    quirks = parse_quirks(sys.argv[first + 1 : end])
-    del sys.argv[first:end]
-
-    class QuirkyEmulator(board.Emulator):
-        def __init__(self, config: RobotConfig, **options: Any) -> None:
-            super().__init__(apply_to_config(quirks, config), **options)
-
-    def make(body: str, config: RobotConfig) -> Link:
-        return make_link(body, config, quirks)
-
-    board.open_link = make  # type: ignore[assignment, attr-defined]
-    board.Emulator = QuirkyEmulator  # type: ignore[misc]
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--quirk", nargs="*", default=[])
+    options, sys.argv[1:] = parser.parse_known_args()
+    quirks = parse_quirks(options.quirk)
+    emulator: Any = board
+    sound = emulator.Emulator
+    emulator.Emulator = lambda config, **more: sound(apply_to_config(quirks, config), **more)
+    emulator.open_link = lambda body, config: make_link(body, config, quirks)
     main()
 
 

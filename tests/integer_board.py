@@ -15,7 +15,7 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from acsar_gym.links.base import Link, LinkWrapper
+from acsar_gym.links.base import Link
 from acsar_gym.worlds import Scene
 
 BYTES_PER_MILLISECOND = 11.52
@@ -24,6 +24,8 @@ BOOT = 1500
 """Silence after a reset [ms]."""
 LOOP = 10
 """Period of the board's loop [ms]."""
+FEEDBACK = 20
+"""From one line to the next [ms]."""
 REPEAT_PERIOD = 3000
 """How often old measurements are printed, if they are [ms]."""
 
@@ -36,22 +38,16 @@ class BoardProgram:
     """A loop moves a wheel's speed by this part of what is missing."""
     fraction: int = 1
     """Parts of a hundredth that speeds are kept in."""
-    ramp: int = 0
-    """Largest change of the set point in a loop. 0 for no ramp."""
     gain: tuple[int, ...] = (100, 100, 100, 100)
     """Of each wheel, in percent."""
     deadband: int = 0
     """Smaller targets don't turn a wheel."""
     quantum: int = 1
     """Speeds are printed in whole multiples of this."""
-    noise: int = 0
-    """Printed speeds are off by up to this."""
     delay: int = 0
     """From a command's arrival until it counts."""
     repeat: int = 0
     """Every 3 s it goes on printing what it measured last for this long."""
-    feedback: int = 20
-    """From one line to the next."""
     timeout: int = 500
     """From the newest command to the time-out. 0 for none."""
     ends: bytes = b",\r\n"
@@ -73,7 +69,7 @@ SIBLING = BoardProgram(deadband=90, fraction=16, quantum=12, ends=b",", padded=F
 
 def divide(a: int, b: int) -> int:
     """Divide as C does, towards zero."""
-    return abs(a) // b if a >= 0 else -(abs(a) // b)
+    return int(a / b)
 
 
 class IntegerBoard:
@@ -88,9 +84,7 @@ class IntegerBoard:
         """When each counts, its wheel, its target."""
         self._heard = -(10**6)
         self._targets = [0] * 4
-        self._set_points = [0] * 4
         self._speeds = [0] * 4
-        self._random = 1
         self._measured: tuple[int, ...] = ()
 
     def run_millisecond(self, data: bytes) -> bytes:
@@ -100,7 +94,7 @@ class IntegerBoard:
             return b""
         for byte in data:
             self._take_byte(byte)
-        line = b"" if self.time % self.program.feedback else self._print_line()
+        line = b"" if self.time % FEEDBACK else self._print_line()
         if self.time % LOOP == 0:
             self._run_loop()
         return line
@@ -127,12 +121,7 @@ class IntegerBoard:
             self._targets = [0] * 4
 
         for wheel, target in enumerate(self._targets):
-            aim = target
-            if program.ramp:
-                missing = aim - self._set_points[wheel]
-                aim = self._set_points[wheel] + max(-program.ramp, min(program.ramp, missing))
-                self._set_points[wheel] = aim
-            aim = divide(aim * program.gain[wheel], 100)
+            aim = divide(target * program.gain[wheel], 100)
             aim = 0 if abs(aim) < program.deadband else aim
             speed = self._speeds[wheel]
             self._speeds[wheel] = speed + divide(aim * program.fraction - speed, program.divisor)
@@ -144,13 +133,9 @@ class IntegerBoard:
         """Print what was measured, as integers and their hundredths."""
         parts = []
         for letter, speed in zip("abcd", self._measured, strict=False):
-            self._random = (self._random * 25173 + 13849) & 0xFFFF
-            noise = self.program.noise
-            quantum = self.program.quantum
-            off = divide(self._random >> 4, 4096 // (2 * noise + 1) + 1) - noise if noise else 0
-            size = min(abs(divide(speed + off, quantum) * quantum), 9999)
-            sign = "n" if speed + off < 0 else "p"
-            whole = f"{size // 100:02d}" if self.program.padded else f"{size // 100}"
+            size = abs(speed) // self.program.quantum * self.program.quantum
+            sign = "n" if speed < 0 else "p"
+            whole = f"{size // 100:0{2 if self.program.padded else 1}d}"
             parts.append(f"{letter}{sign}{whole}.{size % 100:02d},")
         return ("".join(parts) + "\r\n").encode() if parts else b""
 
@@ -219,15 +204,3 @@ class IntegerLink(Link):
         for byte in data:
             self._free[way] = max(self._free[way], begin) + 1.0 / BYTES_PER_MILLISECOND
             queue.append((self._free[way], byte))
-
-
-class NoTrailingComma(LinkWrapper):
-    """A board that reads whole lines, and misses the last value if a comma follows it."""
-
-    partial_line = b""
-
-    def write(self, data: bytes) -> None:
-        *lines, self.partial_line = (self.partial_line + data).split(b"\r\n")
-        for line in lines:
-            taken = line[:-1].rpartition(b",")[0] if line.endswith(b",") else line
-            super().write(taken + b",")

@@ -102,11 +102,31 @@ class LdrobotTwin(PacketTwin):
         return body + bytes([crc8(body)])
 
 
-class YdlidarTwin(PacketTwin):
-    """An X4, which looks past its laser's lens: the beam deviates from the head's angle."""
+class TminiProTwin(PacketTwin):
+    """A T-mini Pro: its beam goes where the head points. An intensity precedes each distance."""
 
     size = 40
     splits = True
+    word_bits = ~3
+    has_intensity = True
+
+    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
+        first, last = (round(degree * 64.0) << 1 | 1 for degree in (degrees[0], degrees[-1]))
+        kind = min(round(self.speed * 10.0), 127) << 1 | 1 if starts else 0
+        check = 0x55AA ^ (kind | len(ranges) << 8) ^ first ^ last
+        samples = b""
+        for number, distance in enumerate(ranges):
+            word = round(distance * 4000.0) & self.word_bits
+            intensity = bytes([number * 37 & 0xFF] * self.has_intensity)
+            check ^= word ^ int.from_bytes(intensity)
+            samples += intensity + struct.pack("<H", word)
+        fields = (0x55AA, kind, len(ranges), first, last, check)
+        return struct.pack("<HBBHHH", *fields) + samples
+
+
+class YdlidarTwin(TminiProTwin):
+    """An X4, which looks past its laser's lens: the beam deviates from the head's angle."""
+
     word_bits = -1
     has_intensity = False
 
@@ -133,36 +153,6 @@ class YdlidarTwin(PacketTwin):
             beams = degrees + np.where(ranges > 0.0, off, 0.0)
         return ranges
 
-    def pack(self, degrees: list[float], ranges: list[float], starts: bool, age: float) -> bytes:
-        first, last = (round(degree * 64.0) << 1 | 1 for degree in (degrees[0], degrees[-1]))
-        kind = min(round(self.speed * 10.0), 127) << 1 | 1 if starts else 0
-        check = 0x55AA ^ (kind | len(ranges) << 8) ^ first ^ last
-        samples = b""
-        for number, distance in enumerate(ranges):
-            word = round(distance * 4000.0) & self.word_bits
-            intensity = bytes([number * 37 & 0xFF] * self.has_intensity)
-            check ^= word ^ int.from_bytes(intensity)
-            samples += intensity + struct.pack("<H", word)
-        fields = (0x55AA, kind, len(ranges), first, last, check)
-        return struct.pack("<HBBHHH", *fields) + samples
-
-
-class TminiProTwin(YdlidarTwin):
-    """A T-mini Pro: its beam goes where the head points. An intensity precedes each distance."""
-
-    word_bits = ~3
-    has_intensity = True
-
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.running = self.scanning = True
-
-    def receive(self, data: bytes) -> bytes:
-        return b""
-
-    def measure(self, degrees: Floats, ages: Floats) -> Floats:
-        return LidarTwin.measure(self, degrees, ages)
-
 
 class DenseRplidarTwin(RplidarTwin):
     """An RPLIDAR S2: its typical mode, of number 1, sends dense capsules."""
@@ -170,7 +160,7 @@ class DenseRplidarTwin(RplidarTwin):
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._is_dense = False
-        self._waiting: list[tuple[float, float]] = []
+        self._words: list[int] = []
 
     def _answer(self, request: bytes) -> bytes:
         command = request[1]
@@ -183,7 +173,7 @@ class DenseRplidarTwin(RplidarTwin):
             return encode_descriptor(4 + len(answer), SINGLE, 0x20) + payload[:4] + answer
         elif command == 0x82 and is_whole and payload[0] == 1:
             self.scanning = self._is_dense = self._is_first = True
-            self._waiting = []
+            self._words = []
             return encode_descriptor(84, MULTIPLE, 0x85)
         return super()._answer(request) if command < 0x80 else b""
 
@@ -192,14 +182,14 @@ class DenseRplidarTwin(RplidarTwin):
             return super().encode(degrees, ranges, starts)
         sent = b""
         for degree, distance in zip(degrees.tolist(), ranges.tolist(), strict=True):
-            self._waiting.append((degree, distance))
-            if len(self._waiting) == 40:
-                first = round(self._waiting[0][0] * 64.0) % (360 * 64)
-                words = [round(metres * 1000.0) for _, metres in self._waiting]
-                body = struct.pack("<41H", first | self._is_first << 15, *words)
+            if not self._words:
+                self._words = [round(degree * 64.0) % (360 * 64) | self._is_first << 15]
+            self._words.append(round(distance * 1000.0))
+            if len(self._words) == 41:
+                body = struct.pack("<41H", *self._words)
                 check = functools.reduce(operator.xor, body)
                 sent += bytes((0xA0 | check & 15, 0x50 | check >> 4)) + body
-                self._waiting = []
+                self._words = []
                 self._is_first = False
         return sent
 

@@ -21,7 +21,6 @@ from acsar_gym.tools.policies.document import DOCUMENT_KEY, PolicyDocument, desc
 from acsar_gym.tools.training.options import TrainingOptions
 
 GOOD = AGENTS / "policies" / "point_goal.onnx"
-VARIED: dict[str, Any] = {"friction": (0.7, 1.2), "motor_lag": (0.6, 1.5)}
 ENV_ID = "acsar_gym/PointGoal-v0"
 
 
@@ -90,10 +89,10 @@ def fitting(path: Path, env_id: str, width: int | None = None, **options: Any) -
 
     It takes the first `width` numbers of an observation, or all.
     """
-    import gymnasium
-
     env: Any = gymnasium.make(full_id(env_id), link="planar", **options)
-    document = describe_policy(env.unwrapped, env_id, randomization=VARIED, width=width)
+    document = describe_policy(
+        env.unwrapped, env_id, randomization={"friction": (0.7, 1.2)}, width=width
+    )
     env.close()
     layer = dense("action", document.width)
     model = network(layer, document.width, document=document.as_json())
@@ -143,18 +142,18 @@ def algorithms() -> dict[str, Any]:
 def save(
     path: Path,
     algorithm: str = "PPO",
-    env_id: str = "acsar_gym/PointGoal-v0",
+    env_id: str = ENV_ID,
     *,
     label: bool = True,
-    net: dict[str, Any] | None = None,
     **options: Any,
 ) -> Path:
     """A small model with random weights: untrained ones have actions that are all about zero."""
     from acsar_gym.tools.policies import sb3_export
 
-    options["policy_kwargs"] = {"net_arch": [8]} | (net or {})
     env = gymnasium.make(env_id, link="planar")
-    model = algorithms()[algorithm]("MlpPolicy", env, device="cpu", seed=0, **options)
+    model = algorithms()[algorithm](
+        "MlpPolicy", env, device="cpu", seed=0, policy_kwargs={"net_arch": [8]}, **options
+    )
     for weight in model.policy.parameters():
         weight.data.normal_(0.0, 0.4)
     inner = env.unwrapped

@@ -4,17 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-import multiprocessing
-import os
-import tty
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
-import serial
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from rosbags.rosbag2 import CompressionFormat, StoragePlugin
@@ -23,9 +18,8 @@ from rosbags.rosbag2 import Writer as FolderWriter
 from acsar_gym import Link, Robot, RobotConfig, open_link
 from acsar_gym.envs.ids import full_id
 from acsar_gym.protocol import ZERO, encode
-from acsar_gym.recording import Recorder, messages, read
+from acsar_gym.recording import Recorder, messages
 from acsar_gym.recording.recorder import RecordedLink
-from acsar_gym.recording.replay import ReplayLink
 from acsar_gym.worlds import Scene
 
 
@@ -163,62 +157,3 @@ def recorded(link: Link, path: Path, config: RobotConfig | None = None) -> Itera
     """A link that is recorded inside the block."""
     with Recorder(path) as recorder:
         yield RecordedLink(link, recorder, RobotConfig.of(config))
-
-
-def play(tape: Path, master: int, heard: Any) -> None:
-    """A tape player at the far end of the tty: one period's feedback for each command heard."""
-    wrong = 0
-    for episode in read(tape).episodes:
-        writes = iter(episode.wire.sent)
-        pieces = iter(episode.wire.got)
-        for period in episode.exchanges:
-            sent = b"".join(islice(writes, period["writes"]))
-            wrong += _heard(master, len(sent)) != sent
-            os.write(master, b"".join(islice(pieces, period["pieces"])))
-        last = b"".join(writes)  # the stop at the end
-        wrong += _heard(master, len(last)) != last
-    heard.put(wrong)
-
-
-def _heard(master: int, size: int) -> bytes:
-    """So many bytes from the other end of the tty."""
-    heard = b""
-    while len(heard) < size:
-        heard += os.read(master, size - len(heard))
-    return heard
-
-
-class TtyReplayLink(ReplayLink):
-    """Reads the feedback of each period from a port, at which another program plays the tape."""
-
-    def __init__(self, path: Path, port: serial.Serial) -> None:
-        super().__init__(path)
-        self._port = port
-
-    def write(self, data: bytes) -> None:
-        super().write(data)
-        self._port.write(data)
-
-    def advance(self, period: float) -> bytes:
-        recorded = super().advance(period)
-        arrived: bytes = self._port.read(len(recorded))
-        assert len(arrived) == len(recorded)
-        return arrived
-
-
-@contextlib.contextmanager
-def playing(tape: Path) -> Iterator[tuple[serial.Serial, Any]]:
-    """A port at which a process plays the tape, and a queue that says how many commands differ."""
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    fork = multiprocessing.get_context("fork")
-    heard = fork.Queue()
-    player = fork.Process(target=play, args=(tape, master, heard), daemon=True)
-    player.start()
-    port = serial.Serial(os.ttyname(slave), 115200, timeout=5.0, exclusive=True)
-    yield port, heard
-    port.close()
-    player.terminate()
-    player.join()
-    os.close(master)
-    os.close(slave)

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -199,13 +199,3 @@ class Client:
                 outputs = "\n".join(program.printed for program in ended or self.programs)
                 why = "a program ended" if ended else f"not within {timeout:g} s"
                 raise AssertionError(f"{what}: {why}\n{outputs}")
-
-
-@contextlib.contextmanager
-def client(namespace: str, programs: list[Program]) -> Iterator[Client]:
-    """A `Client`, closed at the end."""
-    node = Client(namespace, programs)
-    try:
-        yield node
-    finally:
-        node.close()

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import math
+import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from boards import apply_to_config, make_link, parse_quirks
+from boards import board
 
 from acsar_gym import Robot, RobotConfig
 from acsar_gym.links import open_link
 from acsar_gym.links.base import Link, LinkWrapper
 from acsar_gym.protocol import Speeds
-from acsar_gym.recording.blocks import Head
-from acsar_gym.recording.events import Tables
-from acsar_gym.recording.types import Episode, Floats, Recording, Scans, WireLog
+from acsar_gym.recording import Recorder, read
+from acsar_gym.recording.types import Episode, Floats, Recording, WireLog
 from acsar_gym.tools.sysid.calibration import (
     CalibrationRun,
     Geometry,
@@ -133,26 +133,24 @@ def find_missed_truths(result: Identification, truth: RobotConfig) -> list[str]:
 
 def identify_simulated(hidden: RobotConfig, *quirks: str) -> Identification:
     """Identify a robot with these quirks in simulated time."""
-    odd = parse_quirks(quirks)
-    link = make_link("planar", apply_to_config(odd, hidden), odd)
-    return identify_device(link, ACSAR, 20.0)
+    return identify_device(board(*quirks, robot=hidden), ACSAR, 20.0)
 
 
-def drive_wire(
-    speeds: Callable[[float], Any], true: RobotConfig, seconds: float, known: RobotConfig = ACSAR
-) -> WireLog:
+def drive_wire(speeds: Callable[[float], Any], true: RobotConfig, seconds: float) -> WireLog:
     """The wire while a robot is driven that isn't the configured robot.
 
     `speeds`: of a time, those of all wheels or of each [rad/s].
     """
     tape = TapedLink(open_link("planar", true))
-    with Robot(tape, known.with_(wheel_check=False)) as robot:
-        for tick in range(round(seconds / known.period)):
-            robot.tick(np.broadcast_to(speeds(tick * known.period), 4).tolist())
+    with Robot(tape, ACSAR.with_(wheel_check=False)) as robot:
+        for tick in range(round(seconds / ACSAR.period)):
+            robot.tick(np.broadcast_to(speeds(tick * ACSAR.period), 4).tolist())
     return tape.log
 
 
 TAPE_DIVISION = 0.005
+SEPARATION = 0.3
+"""Of the wheels, as the preset has it [m]."""
 
 
 def draw_wheels(seed: int) -> RobotConfig:
@@ -193,78 +191,51 @@ def drive_with_truth(
     return [drive_run(robot, replace(plan, back=False), reads_truth=True) for plan in plans]
 
 
-def leg_wheels(left: Sequence[float], right: Sequence[float], parts: int = 100) -> Floats:
-    """Wheel angles of legs, each with these angles of the left and the right wheels [rad]."""
-    ends = np.cumsum([(0.0, 0.0), *zip(left, right, strict=True)], axis=0)
-    return np.concatenate(
-        [np.linspace(start, end, parts, endpoint=False) for start, end in pairwise(ends)]
-        + [ends[-1:]]
-    )
+def leg_wheels(left: float, right: float) -> Floats:
+    """Wheel angles of a leg that ends with these of the left and the right wheels [rad]."""
+    return np.linspace((0.0, 0.0), (left, right), 101)
 
 
 def line_wheels(geometry: Geometry, distance: float) -> Floats:
     """Wheel angles of a straight command of the robot that odometry takes it for."""
-    return leg_wheels([distance / geometry.radius], [distance / geometry.radius])
+    return leg_wheels(distance / geometry.radius, distance / geometry.radius)
 
 
-def spin_wheels(geometry: Geometry, angle: float, separation: float = 0.3) -> Floats:
+def spin_wheels(geometry: Geometry, angle: float) -> Floats:
     """Wheel angles of a turn in place."""
-    turned = angle * separation * geometry.multiplier / 2.0 / geometry.radius
-    return leg_wheels([-turned], [turned])
+    turned = angle * SEPARATION * geometry.multiplier / 2.0 / geometry.radius
+    return leg_wheels(-turned, turned)
 
 
 def circle_wheels(geometry: Geometry, radius: float, angle: float) -> Floats:
     """Wheel angles of a circle that the centre drives, to the left where the angle is positive."""
     way = radius * abs(angle)
-    turned = angle * 0.3 * geometry.multiplier / 2.0
-    return leg_wheels([(way - turned) / geometry.radius], [(way + turned) / geometry.radius])
+    turned = angle * SEPARATION * geometry.multiplier / 2.0
+    return leg_wheels((way - turned) / geometry.radius, (way + turned) / geometry.radius)
 
 
-SLICES = 20
-"""Parts of a tick whose bytes have stamps of their own."""
+TAPES = tempfile.TemporaryDirectory()
+"""Recordings of `driven`, whose tables are read when they are needed."""
 HIDDEN: dict[str, Any] = {"motor": {"time_constant": 0.14}, "body": {"friction": 0.7}}
 """Changes that make a robot whose default twin is wrong."""
 
 
-class Tap(LinkWrapper):
-    """Forwards to a simulated link, and keeps the bytes with their times.
+class Phased(LinkWrapper):
+    """A simulated robot whose board started some time before its first stamp.
 
     Args:
         link: Simulated link.
-        phase: Time from the board's start to the first stamp [s].
+        phase: That time [s].
     """
 
-    def __init__(self, link: Link, phase: float = 0.0) -> None:
+    def __init__(self, link: Link, phase: float) -> None:
         super().__init__(link)
         self._phase = phase
-        self.sent: list[tuple[float, bytes]] = []
-        self.got: list[tuple[float, bytes]] = []
 
     def reset(self, scene: Scene) -> None:
         self.inner.reset(scene)
         if self._phase:
             self.inner.advance(self._phase)
-
-    def write(self, data: bytes) -> None:
-        self.inner.write(data)
-        self.sent.append((self.now(), data))
-
-    def advance(self, period: float) -> bytes:
-        arrived = b""
-        for _ in range(SLICES):
-            data = self.inner.advance(period / SLICES)
-            if data:
-                self.got.append((self.now(), data))
-            arrived += data
-        return arrived
-
-    @property
-    def log(self) -> WireLog:
-        columns: list[Any] = []
-        for pieces in (self.sent, self.got):
-            stamps, data = zip(*pieces, strict=True)
-            columns += [np.array(stamps), data]
-        return WireLog(*columns)
 
 
 def random_steps(seed: int, duration: float, config: RobotConfig) -> list[Speeds]:
@@ -281,39 +252,13 @@ def random_steps(seed: int, duration: float, config: RobotConfig) -> list[Speeds
 
 def driven(config: RobotConfig, ticks: Iterable[Speeds], *, phase: float = 0.0) -> Episode:
     """Drive a twin of `config` open-loop, and return the episode."""
-    tap = Tap(open_link("planar", config), phase)
-    robot = Robot(tap, config)
-    robot.reset(Scene())
-    rows = []
-    for command in ticks:
-        robot.tick(command)
-        odometry = robot.odometry
-        assert tap.truth is not None
-        rows.append((tap.now(), odometry.pose, odometry.twist, robot.speeds, tap.truth.pose))
-    robot.close()
-
-    stamps, poses, twists, speeds, truth = (np.array(column) for column in zip(*rows, strict=True))
-    count = len(stamps)
-    return Episode(
-        Head(info={}),
-        Tables(),
-        wire=tap.log,
-        stamps=stamps,
-        poses=poses,
-        twists=twists,
-        speeds=speeds,
-        truth=truth,
-        terminated=False,
-        step_stamps=np.zeros(0),
-        asked=twists,
-        sent=twists,
-        reasons=np.zeros(count, np.int64),
-        lateness=np.full(count, np.nan),
-        observations=np.zeros((0, 0), np.float32),
-        actions=np.zeros((0, 2), np.float32),
-        rewards=np.zeros(0),
-        scans=Scans(np.zeros(0), np.zeros((0, 0)), np.zeros(0, np.int64)),
-    )
+    link = Phased(open_link("planar", config), phase)
+    tape = Path(tempfile.mkdtemp(dir=TAPES.name), "driven.mcap")
+    with Robot(link, config, recorder=Recorder(tape)) as robot:
+        for command in ticks:
+            robot.tick(command)
+    (episode,) = read(tape).episodes
+    return episode
 
 
 def recording(config: RobotConfig, *episodes: Episode, name: str = "") -> Recording:

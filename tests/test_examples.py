@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import numpy as np
 import pytest
+from recording_tools import record_env
 from serial_tools import Emulated, RobotFile
 
 from acsar_gym import RobotConfig
@@ -114,16 +114,8 @@ def full_speed(path: Path, action: float) -> Path:
 def test_recorded_run_shows_figures_in_pandas(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    tape = tmp_path / "tape.mcap"
     plot = tmp_path / "run.png"
-    env = gymnasium.make("acsar_gym/PointGoal-v0", link="planar", record=tape)
-    for seed in range(2):
-        env.reset(seed=seed)
-        for step in range(20):
-            env.step(np.array([np.sin(step / 3.0), 0.1], np.float32))
-    env.close()
-
-    figures = main_of("recorded_run")(tape, plot)
+    figures = main_of("recorded_run")(record_env(tmp_path / "tape.mcap", "point_goal"), plot)
     assert list(figures.columns) == [0, 1]
     assert 0.0 < figures.loc["measured after sent", 0] < 0.3
     assert 0.1 < figures.loc["path by odometry", 1] < 1.0

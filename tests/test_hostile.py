@@ -12,6 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from cli_tools import assert_one_line
 from serial_tools import cli
 
 from acsar_gym.errors import ConfigError, escape_unprintable
@@ -24,9 +25,7 @@ def test_robot_file_that_is_hostile_is_one_line(tmp_path: Path) -> None:
     path.write_text("[" + "[]," * 20_000 + "]")
     done = cli("run", "1", "0", f"--robot={path}")
     assert done.returncode == 2
-    assert done.stderr.startswith("acsar-gym: ")
-    assert done.stderr.count("\n") == 1
-    assert "must be a mapping" in done.stderr
+    assert_one_line(done.stderr, "must be a mapping")
 
 
 @pytest.mark.parametrize("name", ["\x1b]0;title\x07\x9b31m\r", "a\u202eb"])

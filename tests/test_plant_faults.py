@@ -53,9 +53,7 @@ def test_faults_are_of_each_kind() -> None:
     ("file", "test"),
     [
         ("odometry.py", "tests/test_odometry.py"),
-        ("links/serial.py", "tests/links"),
         ("vector/kernel/drive.py", "tests/vector"),
-        ("tools/jobs.py", "tests/tools/test_jobs.py"),
         ("tools/cli/commands/drive.py", "tests/tools/cli"),
     ],
 )

@@ -63,17 +63,14 @@ def test_encode_refuses_the_vectors(vector: Vector) -> None:
         encode([float(speed) for speed in vector["speeds"]])
 
 
-@named("decode")
+@pytest.mark.parametrize(
+    "vector", VECTORS["decode"] + VECTORS["decode_tolerant"], ids=lambda vector: vector["name"]
+)
 def test_decoder_reads_the_vectors_in_any_pieces(vector: Vector) -> None:
     expected = vector.get("tolerant", vector["lines"])
     data = vector["bytes"].encode("latin-1")
-    for piece in (1, 7, len(data)):
+    for piece in (1, 3, 7, len(data)):
         assert read(data, piece) == expected
-
-
-@named("decode_tolerant")
-def test_decoder_reads_the_tolerant_vectors(vector: Vector) -> None:
-    assert read(vector["bytes"].encode("latin-1"), 3) == vector["lines"]
 
 
 def test_protocol_page_agrees_with_the_code() -> None:

@@ -172,15 +172,8 @@ def test_round_trip_starts_with_the_command() -> None:
     assert 0.02 < trips[0] < 0.08
 
 
-class RealBoard(ScriptedLink):
-    """A scripted board whose wheels are real for the driver."""
-
-    is_real = True
-    lateness = 0.0
-
-
 def test_wheel_error_quotes_the_boards_report() -> None:
-    link = RealBoard(then=b"# a cut: stalled\r\n" + STILL)
+    link = LikeABoard(ScriptedLink(then=b"# a cut: stalled\r\n" + STILL))
     with Robot(link, ACSAR) as robot, pytest.raises(WheelError, match="reports a cut: stalled"):
         for _ in range(200):
             robot.drive(0.3, 0.0)

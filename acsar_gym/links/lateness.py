@@ -1,4 +1,4 @@
-"""Statistics of an episode's timing: late ticks and round trips."""
+"""Statistics of an episode's timing: late ticks, age of feedback, round trips."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from acsar_gym.config import RobotConfig
 
 STANDSTILL = 0.1  # wheels slower than this count as being at rest [rad/s]
 VISIBLE_SPEED = 0.005  # a faster wheel, which was at rest before, shows the command [rad/s]
-MAX_TICKS = 10_000_000  # ticks of an episode that are kept, the newest: 28 h at 100 Hz
+MAX_TICKS = 1_000_000  # ticks that percentiles refer to, the newest: 2.8 h at 100 Hz
 MAX_TRIPS = 1000  # round trips of an episode that are kept
 
 
@@ -24,6 +24,9 @@ class TickTiming:
     ticks: int
     late_ticks: int
     """Ticks that ended more than the robot's `late_after` after their deadline."""
+    missed_ticks: int
+    """Control periods that passed without a tick."""
+    p50: float
     p99: float
     worst: float
 
@@ -38,6 +41,8 @@ class EpisodeTiming:
     """Timing of an episode, from the end of its first tick on."""
 
     lateness: TickTiming
+    worst_feedback_age: float
+    """Largest age of the newest valid line at the end of a tick [s]. NaN if there were none."""
     round_trips: tuple[float, ...] = ()
     """Times from the last byte of a command to wheels at rest until the first byte of the first
     line that shows an effect [s], the newest `MAX_TRIPS`. Up to a tick longer if the link doesn't
@@ -48,23 +53,37 @@ class EpisodeStopwatch:
     """Measures the timing of one episode."""
 
     def __init__(self, config: RobotConfig) -> None:
+        self._period = config.period
         self._late_limit = config.late_tick
+        self._ticks = self._late_ticks = self._missed_ticks = 0
         self._lateness: deque[float] = deque(maxlen=MAX_TICKS)
+        self._worst_lateness = self._worst_age = 0.0
         self._trips: deque[float] = deque(maxlen=MAX_TRIPS)
         self._has_started = False
         self._trip_start: float | None = None
         self._fastest = 0.0
         self._visible_speed = VISIBLE_SPEED
 
-    def tick(self, lateness: float) -> float | None:
-        """Add a tick, and return its lateness [s].
+    def tick(self, lateness: float, age: float) -> float | None:
+        """Add a tick: its lateness and its feedback's age [s].
 
-        None for the first tick, whose deadline is that of the reset, which may take long.
+        Returns:
+            The lateness. None for the first tick, whose deadline is the reset's.
         """
+        # The first deadline is that of the reset, which may take long.
         if not self._has_started:
             self._has_started = True
             return None
-        self._lateness.append(lateness)
+
+        self._ticks += 1
+        self._lateness.append(max(lateness, 0.0))
+        self._worst_lateness = max(lateness, self._worst_lateness)
+        self._worst_age = max(age, self._worst_age)
+        if lateness > self._late_limit:
+            self._late_ticks += 1
+            # Deadlines that have passed meanwhile had no tick.
+            if lateness > self._period:
+                self._missed_ticks += int(lateness / self._period)
         return lateness
 
     def commanded(self, written: float, fastest: float, *, drives: bool) -> bool:
@@ -96,14 +115,21 @@ class EpisodeStopwatch:
 
     def summary(self) -> EpisodeTiming:
         """Return the timing of the episode."""
-        lateness = np.maximum(self._lateness, 0.0)
-        late_ticks = int((lateness > self._late_limit).sum())
-        p99 = worst = math.nan
-        if len(lateness):
-            p99 = float(np.percentile(lateness, 99.0, method="inverted_cdf"))
-            worst = float(lateness.max())
-        timing = TickTiming(len(lateness), late_ticks, p99=p99, worst=worst)
-        return EpisodeTiming(timing, tuple(self._trips))
+        p50 = p99 = worst = age = math.nan
+        if self._ticks:
+            p50, p99 = np.percentile(self._lateness, [50.0, 99.0], method="inverted_cdf").tolist()
+            worst = self._worst_lateness
+            age = self._worst_age
+
+        lateness = TickTiming(
+            ticks=self._ticks,
+            late_ticks=self._late_ticks,
+            missed_ticks=self._missed_ticks,
+            p50=p50,
+            p99=p99,
+            worst=worst,
+        )
+        return EpisodeTiming(lateness, age, tuple(self._trips))
 
 
 def first_byte(arrivals: Sequence[tuple[float, bytes]], end: float) -> float:

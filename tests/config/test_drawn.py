@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 from typing import Any
 
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from acsar_gym import RobotConfig
 from acsar_gym.config import drawn
 from acsar_gym.config.fleet import make_fleet
-from acsar_gym.config.footprint import border_distance, outline_radius
 from acsar_gym.config.robot import hash_config
 from acsar_gym.errors import ConfigError
 
@@ -38,26 +36,6 @@ def test_drawn_number_is_always_the_same_robot() -> None:
 def test_drawn_name_that_is_no_robot_is_refused(text: str, reason: str) -> None:
     with pytest.raises(ConfigError, match=f"^robot = '{text}': {reason}"):
         RobotConfig.of(text)
-
-
-def test_drawn_radii_are_exactly_those_of_the_classes() -> None:
-    """Robots of a class share worlds, which are made for a radius."""
-    radii = {outline_radius(robot.outline) for robot in FIRST}
-    assert radii == set(drawn.RADII)
-
-
-def test_drawn_wheels_and_motors_suit_the_body() -> None:
-    for robot in FIRST:
-        rim = robot.motor.max_speed * robot.wheel_radius
-        turning = robot.max_angular * robot.effective_separation / 2.0
-        assert rim >= 1.05 * max(robot.max_linear, turning)
-        assert 2.0 * robot.wheel_radius < robot.wheelbase + 0.2 * robot.body.length
-        assert math.hypot(robot.wheelbase, robot.wheel_separation) / 2.0 < outline_radius(
-            robot.outline
-        )
-        place = robot.lidar_x_offset, robot.lidar_y_offset
-        assert math.hypot(*place) < outline_radius(robot.outline)
-        assert border_distance(robot.outline, 0.0, 0.0) > 0.05
 
 
 ACSAR = RobotConfig.preset("acsar")

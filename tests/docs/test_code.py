@@ -102,30 +102,17 @@ def list_blocks(page: Path) -> list[Block]:
     return blocks
 
 
-class Boards:
-    """Emulated boards, by the names that a page has for them."""
-
-    def __init__(self, request: pytest.FixtureRequest) -> None:
-        self._request = request
-        self._devices: dict[str, str] = {}
-
-    def start(self, options: list[str]) -> None:
-        """`acsar-gym emulate OPTIONS &`, with `--name` among them."""
-        at = options.index("--name")
-        emulator = self._request.getfixturevalue("start_emulator")
-        self._devices[options[at + 1]] = emulator(*options[:at], *options[at + 2 :]).device
-
-    def connect(self, words: list[str]) -> list[str]:
-        """A command's words with the boards' devices, and a robot with patience."""
-        connected = [self._find_device(word) for word in words]
-        if connected == words or "--robot" in words or words[0] not in PATIENT:
-            return connected
-        return [*connected, "--robot", str(self._request.getfixturevalue("robot_file")())]
-
-    def _find_device(self, word: str) -> str:
-        if DEVICE.fullmatch(word):
-            return str(self._request.getfixturevalue("shared_device"))
-        return self._devices.get(word, word)
+def connect(words: list[str], devices: dict[str, str], request: pytest.FixtureRequest) -> list[str]:
+    """A command's words with the boards' devices, and a robot with patience."""
+    connected = [
+        str(request.getfixturevalue("shared_device"))
+        if DEVICE.fullmatch(word)
+        else devices.get(word, word)
+        for word in words
+    ]
+    if connected == words or "--robot" in words or words[0] not in PATIENT:
+        return connected
+    return [*connected, "--robot", str(request.getfixturevalue("robot_file")())]
 
 
 def shrink(words: list[str]) -> list[str]:
@@ -143,8 +130,8 @@ WIRE_LOG = logging.getLogger("acsar_gym.wire")
 """A page sets its level."""
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A page's folder, with what it names of the checkout. What it registers is forgotten."""
     modules = set(sys.modules)
     ids = dict(gymnasium.registry)
@@ -155,7 +142,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (tmp_path / path.name).symlink_to(path)
     log_level = WIRE_LOG.level
 
-    yield tmp_path
+    yield
 
     WIRE_LOG.setLevel(log_level)
     for name in set(sys.modules) - modules:
@@ -202,19 +189,24 @@ def parse(words: list[str]) -> None:
         call(words, patch)
 
 
-def run(block: Block, folder: Path, names: dict[str, Any], boards: Boards) -> None:
-    """Run a block."""
+def run(
+    block: Block, names: dict[str, Any], devices: dict[str, str], request: pytest.FixtureRequest
+) -> None:
+    """Run a block. `devices` are emulated boards by the names that a page has for them."""
     if saved := SAVED.match(block.code):
-        save(block, folder / saved[1])
+        save(block, Path.cwd() / saved[1])
     elif block.language == "python":
         exec(compile(block.source, str(block.page), "exec"), names)  # noqa: S102 - our own
+
     for words in block.commands:
         with pytest.MonkeyPatch.context() as patch:
             if words[0] == "acsar-gym" and words[-1] == "&":
                 assert words[1] == "emulate"
-                boards.start(words[2:-1])
+                name = words.index("--name") + 1
+                start = request.getfixturevalue("start_emulator")
+                devices[words[name]] = start(*words[2 : name - 1], *words[name + 1 : -1]).device
             elif words[0] == "acsar-gym":
-                call(["acsar-gym", *boards.connect(shrink(words[1:]))], patch)
+                call(["acsar-gym", *connect(shrink(words[1:]), devices, request)], patch)
             elif words[0] == "python" and words[1:2] != ["-m"]:
                 call(words, patch)
 
@@ -223,16 +215,16 @@ def run(block: Block, folder: Path, names: dict[str, Any], boards: Boards) -> No
 @pytest.mark.filterwarnings(
     "default:.*polic:acsar_gym.errors.AcsarWarning"
 )  # pages drive other robots
-def test_code_of_a_page_runs(page: Path, folder: Path, request: pytest.FixtureRequest) -> None:
+def test_code_of_a_page_runs(page: Path, request: pytest.FixtureRequest) -> None:
     names: dict[str, Any] = {"__name__": "page"}
-    boards = Boards(request)
+    devices: dict[str, str] = {}
     signal.signal(signal.SIGALRM, lambda *_: pytest.fail(f"{page}: not within {LIMIT:g} s"))
     signal.setitimer(signal.ITIMER_REAL, LIMIT)
 
     try:
         for block in list_blocks(page):
             if block.is_run:
-                run(block, folder, names, boards)
+                run(block, names, devices, request)
                 continue
             if block.language == "python":
                 compile(block.source, str(block.page), "exec")

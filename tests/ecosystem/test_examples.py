@@ -42,7 +42,6 @@ def run(name: str, folder: Path, *options: str) -> str:
     [
         ("cleanrl_ppo", ("--more", "num-minibatches=4")),
         ("rllib_batch", ("--runners", "1")),
-        ("sb3_ppo", ()),
         ("sbx_ppo", ()),
         ("skrl_ppo", ()),
         ("torchrl_ppo", ()),

@@ -30,16 +30,17 @@ def make_planar(**options: Any) -> Env:
     return gymnasium.make(POINT_GOAL, link="planar", **options)
 
 
-LIMITED: dict[str, tuple[Callable[[], Env], int]] = {
-    "of the id": (make_planar, 200),
-    "the env's own": (lambda: point_goal(max_episode_steps=np.int64(5)), 5),
-    "the shorter of two": (lambda: TimeLimit(ClipAction(point_goal(max_episode_steps=7)), 5), 5),
-}
-
-
-@pytest.mark.parametrize("how", LIMITED)
-def test_time_limit_stops_the_wheels_with_the_last_step(how: str) -> None:
-    make_env, limit = LIMITED[how]
+@pytest.mark.parametrize(
+    ("make_env", "limit"),
+    [
+        (make_planar, 200),
+        (lambda: point_goal(max_episode_steps=np.int64(5)), 5),
+        (lambda: TimeLimit(ClipAction(point_goal(max_episode_steps=7)), 5), 5),
+    ],
+)
+def test_time_limit_stops_the_wheels_with_the_last_step(
+    make_env: Callable[[], Env], limit: int
+) -> None:
     env = make_env()
     for _ in range(2):
         env.reset(seed=0)

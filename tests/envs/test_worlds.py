@@ -56,7 +56,6 @@ def test_worlds_file_is_passed_with_what_it_does_not_contain(tmp_path: Path, mak
     assert env.unwrapped.episode.assignment.start == (1.0, 2.0, 0.5)
     again: Any = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.pool.sets[0].generator == str(path)
-    again.close()
 
 
 def test_worlds_of_an_id_are_the_training_split(
@@ -69,13 +68,11 @@ def test_worlds_of_an_id_are_the_training_split(
     assert (pool.split, pool.numbers) == ("train", range(1000, 1400))
     _, info = env.reset(seed=0)
     assert 1000 <= info["world"] < 1400
-    env.close()
 
     world = pool[1000]  # for all numbers: 400 worlds that move take a minute
     monkeypatch.setattr(cache, "cached_world", lambda *_: world)
     batch: Any = make_vec(env_id, 1)
     assert batch.unwrapped.pool.numbers == range(1000, 1400)
-    batch.close()
 
 
 START = (5.0, -3.0, 2.0)

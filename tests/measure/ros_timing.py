@@ -24,7 +24,7 @@ import psutil
 from geometry_msgs.msg import TwistStamped
 from rich.console import Console
 from rich.table import Table
-from ros_tools import BEST_EFFORT, Program, client
+from ros_tools import BEST_EFFORT, Client, Program
 from sensor_msgs.msg import JointState
 
 from acsar_gym.config import RobotConfig
@@ -81,7 +81,7 @@ def measure(seconds: float) -> list[Figure]:
         program = Program(("-c", DRIVING, str(file), str(seconds + SETTLED + 1.0)), folder)
         stack.callback(program.kill)
 
-        listener = stack.enter_context(client("/", [driver, program]))
+        listener = stack.enter_context(contextlib.closing(Client("/", [driver, program])))
         for kind, topic, times in (
             (JointState, "joint_states", states),
             (TwistStamped, "cmd_vel", commands),

@@ -6,14 +6,18 @@ import gc
 import math
 from typing import Any
 
+import mujoco
 import numpy as np
 import psutil
 import pytest
 
-from acsar_gym import RobotConfig, open_link
+from acsar_gym import RobotConfig
+from acsar_gym.errors import ConfigError
+from acsar_gym.physics import compute_physics
 from acsar_gym.physics.bodies import make_body
 from acsar_gym.physics.body import Body
-from acsar_gym.protocol import ZERO, Speeds, encode
+from acsar_gym.physics.mujoco import URDF, WHEELS, MujocoBody
+from acsar_gym.protocol import ZERO, Speeds
 from acsar_gym.worlds import Scene, World, walk
 from acsar_gym.worlds.crowd import Crowd
 
@@ -30,10 +34,6 @@ OBSTACLES = [
     World(np.array([[1.0, 0.1, 0.2]])),
     World(segments=np.array([[0.8, -0.3, 1.4, 1.0]])),
 ]
-
-
-def turn(right: float, left: float) -> Speeds:
-    return right, left, left, right
 
 
 def drive(body: Body, set_points: Speeds, loops: int) -> None:
@@ -125,26 +125,6 @@ def test_body_touches_where_the_planar_robot_does_and_is_stopped(name: str, outl
     body.close()
 
 
-def drive_link(name: str) -> Any:
-    """Poses and wheel speeds, (ticks, 7), of ten seconds in a slalom and at rest."""
-    link: Any = open_link(name, ACSAR)
-    link.reset(Scene())
-
-    rows = []
-    for tick in range(round(10.0 * ACSAR.control_rate)):
-        swing = 3.0 * math.sin(2.0 * tick * ACSAR.period)
-        link.write(encode(turn(6.0 + swing, 6.0 - swing) if tick < 800 else ZERO))
-        link.advance(ACSAR.period)
-        rows.append([*link.truth.pose, *link.body.wheel_speeds])
-    link.close()
-    return np.unwrap(rows, axis=0)
-
-
-def test_planar_and_bullet_do_the_same_for_ten_seconds() -> None:
-    error = np.abs(drive_link("bullet") - drive_link("planar")).max(axis=0)
-    assert (error < [0.02, 0.02, math.radians(3.0), *[0.05] * 4]).all()
-
-
 @pytest.mark.slow
 def test_bullet_memory_is_flat_over_resets_to_other_worlds() -> None:
     body = make_body("bullet", RobotConfig())
@@ -161,3 +141,52 @@ def test_bullet_memory_is_flat_over_resets_to_other_worlds() -> None:
     warm = reset_often(100)
     assert reset_often(400) - warm < 1_000_000
     body.close()
+
+
+# MuJoCo's robot: the URDF's, on its own ground
+
+
+def test_mujoco_robot_of_the_preset_is_the_urdfs() -> None:
+    made = MujocoBody(ACSAR)._model
+    spec = mujoco.MjSpec.from_file(str(URDF))
+    spec.body("base_footprint").add_freejoint()
+    urdf = spec.compile()
+    for name in ("base_footprint", "base_link", "lidar_link", *WHEELS):
+        assert made.body(name).mass == pytest.approx(urdf.body(name).mass, rel=1e-5)
+        inertia = sorted(urdf.body(name).inertia)
+        assert sorted(made.body(name).inertia) == pytest.approx(inertia, rel=0.02)
+        assert made.body(name).pos == pytest.approx(urdf.body(name).pos, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["acsar", "husky"])
+def test_mujoco_robot_weighs_what_it_should_and_rolls_straight(name: str) -> None:
+    config = RobotConfig.preset(name)
+    body = MujocoBody(config)
+    planar = make_body("planar", config)
+    assert body._model.body_subtreemass[0] == pytest.approx(config.body.mass)
+    for made in (body, planar):
+        made.reset(Scene(start=(1.0, -2.0, 0.7)))
+        drive(made, AHEAD, 2 * SECOND)
+    assert body.truth.pose == pytest.approx(planar.truth.pose, abs=0.01)
+    assert body.wheel_speeds == pytest.approx(planar.wheel_speeds, rel=0.01)
+
+
+def test_mujoco_robot_has_the_physics_of_its_scene() -> None:
+    physics = compute_physics(ACSAR)
+    body = MujocoBody(ACSAR)
+    body.reset(Scene(physics=physics._replace(grip=physics.grip / ACSAR.body.friction * 0.1)))
+    drive(body, AHEAD, 40)
+    assert body.truth.twist[0] == pytest.approx(0.1 * 9.81 * 0.2, rel=0.1)
+    body.reset(Scene(physics=physics._replace(mass=6.0, left_radius=0.055)))
+    assert body._model.body_subtreemass[0] == pytest.approx(6.0)
+    drive(body, AHEAD, 2 * SECOND)
+    assert body.truth.pose[2] < -0.05  # the larger wheels are on the left
+
+
+def test_mujoco_image_without_opengl_explains_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: Any) -> None:
+        raise mujoco.FatalError("no context")
+
+    monkeypatch.setattr(mujoco, "Renderer", fail)
+    with pytest.raises(ConfigError, match="MUJOCO_GL"):
+        MujocoBody(ACSAR).image(8, 6)

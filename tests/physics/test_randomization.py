@@ -20,7 +20,6 @@ from acsar_gym.physics.randomization import (
 
 CONFIG = RobotConfig()
 ACSAR = RobotConfig.preset("acsar")
-WHEELS = "abcd"
 
 
 def draw(ranges: Any) -> tuple[Physics, dict[str, Any]]:
@@ -58,11 +57,10 @@ def test_randomizer_without_ranges_keeps_the_configured_robot() -> None:
         ({"mass": (2.0, 1.0)}, "mass = .*low <= high"),
     ],
 )
-def test_randomization_refuses_bad_ranges_in_one_line(ranges: Any, message: str) -> None:
+def test_randomization_refuses_bad_ranges(ranges: Any, message: str) -> None:
     config = CONFIG.with_(baud_rate=19200, control_rate=50.0)
-    with pytest.raises(ConfigError, match=f"randomization.*{message}") as raised:
+    with pytest.raises(ConfigError, match=f"randomization.*{message}"):
         Randomization.of(ranges).ranges(config, 0.1)
-    assert "\n" not in str(raised.value)
 
 
 def between(low: float, high: float) -> dict[str, Any]:

@@ -45,6 +45,11 @@ def bag(tape: Path) -> Bag:
     return make_bag(tape, TOPICS)
 
 
+@pytest.fixture
+def file(bag: Bag, tmp_path: Path) -> Path:
+    return write_mcap(tmp_path / "bag.mcap", bag)
+
+
 def read_bag(path: Path, robot: RobotConfig = ROBOT, topics: tuple[str, ...] = ()) -> Recording:
     return read(open_recording(path, robot, topics))
 
@@ -69,13 +74,12 @@ def assert_same_drive(path: Path, tape: Path, off: float = 0.011, **options: Any
     return recording
 
 
-def test_open_recording_reads_an_mcap_file(tape: Path, bag: Bag, tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "bag.mcap", bag)
+def test_open_recording_reads_an_mcap_file(tape: Path, file: Path) -> None:
     assert is_recording(tape)
-    assert not is_recording(path)
+    assert not is_recording(file)
     assert open_recording(tape, ROBOT) == tape
-    recording = assert_same_drive(path, tape)
-    again = read_bag(path, ROBOT.with_(name="x"))
+    recording = assert_same_drive(file, tape)
+    again = read_bag(file, ROBOT.with_(name="x"))
     assert recording.header["source"] in recording.sources & again.sources
 
 
@@ -118,13 +122,10 @@ def test_open_recording_takes_two_wheels_for_their_sides(tape: Path, tmp_path: P
     assert abs(episode.poses[-1, 0]) > 0.5
 
 
-def test_open_recording_keeps_the_wiring_of_the_robot(bag: Bag, tmp_path: Path) -> None:
-    wheels = {
-        "a": {"motor": "b", "encoder": "b", "sign": -1},
-        "b": {"motor": "a", "encoder": "a"},
-    }
-    crossed = ROBOT.with_(wheels=wheels)
-    (episode,) = read_bag(write_mcap(tmp_path / "bag.mcap", bag), crossed).episodes
+def test_open_recording_keeps_the_wiring_of_the_robot(file: Path) -> None:
+    first = {"motor": "b", "encoder": "b", "sign": -1}
+    crossed = ROBOT.with_(wheels={"a": first, "b": {"motor": "a", "encoder": "a"}})
+    (episode,) = read_bag(file, crossed).episodes
     _, speeds = episode.wire.feedback(crossed)
     np.testing.assert_allclose(speeds, episode.speeds, atol=0.006)
 
@@ -149,12 +150,11 @@ def test_open_recording_explains_what_a_bag_lacks(tape: Path, tmp_path: Path) ->
         measure_gap([("blind", read_bag(blind))], ("robot", ROBOT), ("robot", ROBOT))
 
 
-def test_open_recording_warns_of_a_cut_bag(bag: Bag, tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "bag.mcap", bag)
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) * 3 // 4])
+def test_open_recording_warns_of_a_cut_bag(file: Path) -> None:
+    data = file.read_bytes()
+    file.write_bytes(data[: len(data) * 3 // 4])
     with pytest.warns(RecordingWarning, match=r"bag\.mcap: the file is cut"):
-        open_recording(path, ROBOT)
+        open_recording(file, ROBOT)
 
 
 States = Callable[[float], tuple[list[float], list[float]]]
@@ -230,10 +230,11 @@ def test_open_recording_reads_what_sqlite_wrote_last(tape: Path, bag: Bag, tmp_p
     assert content == {path: path.read_bytes() for path in crashed.iterdir()}
 
 
-def test_open_recording_unpacks_files_and_messages(tape: Path, bag: Bag, tmp_path: Path) -> None:
-    plain = write_mcap(tmp_path / "bag.mcap", bag)
+def test_open_recording_unpacks_files_and_messages(
+    tape: Path, bag: Bag, file: Path, tmp_path: Path
+) -> None:
     packed = tmp_path / "packed.mcap.zstd"
-    packed.write_bytes(zstandard.compress(plain.read_bytes()))
+    packed.write_bytes(zstandard.compress(file.read_bytes()))
     assert_same_drive(packed, tape)
     packed.write_bytes(zstandard.compress(bytes(100_000_000)))
     with pytest.raises(ConfigError, match="unpacks to more than a bag holds"):

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.writer import Writer
-from recording_tools import drive, record_env
-from scenes import HALL
+from recording_tools import drive
 
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, LinkLostError, RecordingWarning
+from acsar_gym.protocol import encode
 from acsar_gym.recording import Recording, read
 from acsar_gym.recording.blocks import (
     FORMAT,
@@ -32,17 +32,16 @@ from acsar_gym.recording.events import TABLES
 from acsar_gym.recording.messages import make_header
 from acsar_gym.recording.reader import summarize, summary_lines
 from acsar_gym.recording.replay import ReplayLink
+from acsar_gym.recording.types import WireLog
 from acsar_gym.worlds import Scene
 
 OPENING: dict[str, Any] = {"episode": 0, "start": 0.0, "offset": 0, "info": {}}
 Tables = Mapping[str, np.ndarray]
 
 
-@pytest.fixture(scope="module")
-def tape(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two episodes of an env with a LiDAR, among people."""
-    path = tmp_path_factory.mktemp("tape") / "tape.mcap"
-    return record_env(path, "obstacle_goal", 2, worlds=HALL)
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "tape.mcap"
 
 
 def assert_part_of(recording: Recording, original: Recording) -> None:
@@ -135,8 +134,7 @@ def assert_refused(path: Path, text: str) -> None:
     assert "\n" not in message
 
 
-def test_read_refuses_files_without_an_episode(tape: Path, tmp_path: Path) -> None:
-    path = tmp_path / "file.mcap"
+def test_read_refuses_files_without_an_episode(tape: Path, path: Path) -> None:
     for size, text in (
         (0, "not an MCAP file"),
         (len(MAGIC), "isn't a recording of acsar_gym"),
@@ -195,8 +193,7 @@ def test_read_refuses_broken_blocks(block: bytes, text: str, tmp_path: Path) -> 
     assert_refused(write_blocks(tmp_path / "file.mcap", block), text)
 
 
-def test_read_takes_blocks_of_this_format_only(tmp_path: Path) -> None:
-    path = tmp_path / "file.mcap"
+def test_read_takes_blocks_of_this_format_only(path: Path) -> None:
     sound = read(write_blocks(path, make_block(make_exchanges(0.5, 1.0))))
     assert not sound.damages
     assert sound.episodes[0].exchanges["stamp"].tolist() == [0.5, 1.0]
@@ -224,3 +221,19 @@ def test_read_takes_a_table_when_it_is_needed(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-50_000])
     with pytest.raises(ConfigError, match=r"tape\.mcap: has changed since it was read"):
         _ = episode.wire
+
+
+def test_wire_log_decodes_lines_with_the_stamps_of_their_last_bytes() -> None:
+    """A wheel that a line doesn't name keeps its speed."""
+    lines = encode((1.0, 2.0, -3.0, 4.0)), encode((5.0, 6.0, 7.0, 8.0))
+    stream = b"".join(lines) + b"bp09.00\r\n"
+    pieces = (stream[:7], stream[7:40], stream[40:])
+    log = WireLog(np.array([0.5]), lines[:1], np.array([1.0, 1.001, 1.003]), pieces)
+    stamps, speeds = log.feedback(RobotConfig())
+    assert stamps.tolist() == [1.001, 1.003, 1.003]
+    expected = [[1.0, 2.0, -3.0, 4.0], [5.0, 6.0, 7.0, 8.0], [5.0, 9.0, 7.0, 8.0]]
+    assert speeds.tolist() == expected
+    stamps, speeds = log.commands(RobotConfig())
+    assert stamps.tolist() == [0.5]
+    assert speeds.tolist() == expected[:1]
+    assert WireLog.of((), ()).commands(RobotConfig())[1].shape == (0, 4)

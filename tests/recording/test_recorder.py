@@ -26,12 +26,17 @@ CONFIG = RobotConfig.of(None)
 ENV = "acsar_gym/PointGoal-v0"
 
 
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "tape.mcap"
+
+
 def fail(*arguments: object) -> None:
     raise OSError(28, "No space left on device")
 
 
 def test_recorder_drops_and_counts_what_a_full_queue_cannot_take(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, path: Path
 ) -> None:
     goes = threading.Event()
     write = RecordingWriter.write
@@ -41,7 +46,6 @@ def test_recorder_drops_and_counts_what_a_full_queue_cannot_take(
         write(*arguments)
 
     monkeypatch.setattr(RecordingWriter, "write", write_later)
-    path = tmp_path / "tape.mcap"
     recorder = Recorder(path, capacity=100)
     recorder.open(CONFIG)
     recorder.begin(0.0, simulated=False)
@@ -55,10 +59,10 @@ def test_recorder_drops_and_counts_what_a_full_queue_cannot_take(
 
 
 def test_recorder_prepares_its_messages_before_wheels_turn(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, path: Path
 ) -> None:
     """Defining types takes 0.1 s of Python's lock, by which ticks would be late."""
-    recorder = Recorder(tmp_path / "tape.mcap")
+    recorder = Recorder(path)
     env = gymnasium.make("acsar_gym/Crowd-v0", record=recorder)
     recorder.open(CONFIG)
     store = messages.load_typestore()
@@ -68,12 +72,12 @@ def test_recorder_prepares_its_messages_before_wheels_turn(
     env.step(np.zeros(2, np.float32))
     env.close()
     assert recorder.problem is None
-    assert read(tmp_path / "tape.mcap").episodes[0].tables.count("movers") > 0
+    assert read(path).episodes[0].tables.count("movers") > 0
     assert set(store.cache) == prepared
 
 
 def test_recorder_counts_a_gap_at_which_a_replay_ends(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, path: Path
 ) -> None:
     add = Recorder.add
 
@@ -83,7 +87,7 @@ def test_recorder_counts_a_gap_at_which_a_replay_ends(
 
     monkeypatch.setattr(Recorder, "add", forget)
     # A simulation waits for the writer, and drops nothing else.
-    path = drive(tmp_path / "tape.mcap", CONFIG, capacity=20)
+    drive(path, CONFIG, capacity=20)
     assert read(path).dropped == 1
     replay = Robot(open_link(f"replay:{path}"), CONFIG)
     with pytest.raises(LinkLostError, match="gap, tick 30"), replay:
@@ -104,8 +108,7 @@ with robot:
 """
 
 
-def test_recorder_loses_at_most_the_last_second_of_a_killed_program(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
+def test_recorder_loses_at_most_the_last_second_of_a_killed_program(path: Path) -> None:
     newest = 0.0
     command = [sys.executable, "-c", CRASH, str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -122,17 +125,16 @@ def test_recorder_loses_at_most_the_last_second_of_a_killed_program(tmp_path: Pa
     assert len(episode.wire.sent) >= len(episode.stamps)
 
 
-def test_recorder_finishes_at_the_end_of_a_program(tmp_path: Path) -> None:
+def test_recorder_finishes_at_the_end_of_a_program(path: Path) -> None:
     code = CRASH.replace("while True:", "for _ in range(20):")
     code = code.replace("with robot:", "robot.activate()\nif True:")
-    path = tmp_path / "tape.mcap"
     command = [sys.executable, "-c", code, str(path)]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     assert not read(path).cut
 
 
 def test_recorder_warns_of_a_full_disk_once_at_the_next_reset(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, path: Path
 ) -> None:
     over = threading.Event()
     abandon = RecordingWriter.abandon
@@ -141,7 +143,7 @@ def test_recorder_warns_of_a_full_disk_once_at_the_next_reset(
         abandon(file)
         over.set()
 
-    recorder = Recorder(tmp_path / "tape.mcap")
+    recorder = Recorder(path)
     with Robot(open_link("planar", CONFIG), CONFIG, recorder=recorder) as robot:
         monkeypatch.setattr(RecordingWriter, "flush", fail)
         monkeypatch.setattr(RecordingWriter, "abandon", end)
@@ -154,8 +156,8 @@ def test_recorder_warns_of_a_full_disk_once_at_the_next_reset(
     assert recorder.problem is not None
 
 
-def test_recorder_replaces_nothing_if_the_link_does_not_open(tmp_path: Path) -> None:
-    path = drive(tmp_path / "tape.mcap", CONFIG, 5)
+def test_recorder_replaces_nothing_if_the_link_does_not_open(path: Path) -> None:
+    drive(path, CONFIG, 5)
     content = path.read_bytes()
     with pytest.raises(LinkError, match="no such device"):
         Robot(open_link("/dev/acsar-missing"), CONFIG, recorder=Recorder(path)).activate()
@@ -170,9 +172,9 @@ def test_recorder_that_cannot_begin_closes_the_link() -> None:
         robot.link.write(b"")
 
 
-def test_recorder_refuses_the_file_that_is_replayed(tmp_path: Path) -> None:
-    path = drive(tmp_path / "tape.mcap", CONFIG, 5)
-    same = tmp_path / "same.mcap"
+def test_recorder_refuses_the_file_that_is_replayed(path: Path) -> None:
+    drive(path, CONFIG, 5)
+    same = path.with_name("same.mcap")
     same.symlink_to(path)
     content = path.read_bytes()
     link = FaultyLink(open_link(f"replay:{path}"), Faults())
@@ -181,13 +183,12 @@ def test_recorder_refuses_the_file_that_is_replayed(tmp_path: Path) -> None:
     assert path.read_bytes() == content
 
 
-def test_recorder_keeps_older_files(tmp_path: Path) -> None:
+def test_recorder_keeps_older_files(path: Path) -> None:
     """An older recording under a number. A file of another kind isn't replaced at all."""
-    path = tmp_path / "tape.mcap"
     path.touch()  # an empty file is replaced
     for ticks in (5, 7, 9):
         drive(path, CONFIG, ticks)
-    kept = {file.name: len(read(file).episodes[0].stamps) for file in tmp_path.iterdir()}
+    kept = {file.name: len(read(file).episodes[0].stamps) for file in path.parent.iterdir()}
     assert kept == {"tape.1.mcap": 5, "tape.2.mcap": 7, "tape.mcap": 9}
     path.write_text("base: acsar\n")
     with pytest.raises(ConfigError, match=r"tape.mcap: isn't a recording"):
@@ -195,8 +196,7 @@ def test_recorder_keeps_older_files(tmp_path: Path) -> None:
     assert path.read_text() == "base: acsar\n"
 
 
-def test_recorder_shares_no_file_and_ends_once(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
+def test_recorder_shares_no_file_and_ends_once(path: Path) -> None:
     envs = gymnasium.make_vec(ENV, 2, vectorization_mode="sync", link="planar", record=path)
     with pytest.raises(ConfigError, match=r"tape.mcap: .*another recorder"):
         envs.reset(seed=0)
@@ -206,8 +206,7 @@ def test_recorder_shares_no_file_and_ends_once(tmp_path: Path) -> None:
         envs.envs[0].reset()  # type: ignore[attr-defined]
 
 
-def test_recorder_of_an_env_keeps_what_the_policy_saw_and_did(tmp_path: Path) -> None:
-    path = tmp_path / "tape.mcap"
+def test_recorder_of_an_env_keeps_what_the_policy_saw_and_did(path: Path) -> None:
     env_id = "acsar_gym/ObstacleGoal-v1"
     env = gymnasium.make(env_id, link="planar", record=str(path), worlds="clutter:5")
     observations = [env.reset(seed=7)[0]]

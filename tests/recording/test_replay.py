@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from recording_tools import TtyReplayLink, drive, playing, taped
+from recording_tools import drive, taped
 from scenes import HALL
 
 from acsar_gym import Robot, RobotConfig, open_link
@@ -71,13 +71,6 @@ def test_replay_moves_people_as_recorded(tmp_path: Path) -> None:
         assert len(numbers) == len(first.exchanges)
     assert (first.wire.sent, first.wire.got) == (second.wire.sent, second.wire.got)
     np.testing.assert_array_equal(first.truth, second.truth)
-
-
-def test_replay_over_a_real_tty_is_equal_to_the_bit(bullet: tuple[Path, list[bytes]]) -> None:
-    tape, contents = bullet
-    with playing(tape) as (port, heard):
-        assert rollout(TtyReplayLink(tape, port)) == contents
-        assert heard.get(timeout=5.0) == 0  # the commands are the same bytes
 
 
 def test_replay_names_the_tick_of_other_commands(bullet: tuple[Path, list[bytes]]) -> None:

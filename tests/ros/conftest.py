@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import sys
@@ -13,7 +14,6 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-import ros_tools
 from ros_tools import Client, ForeignRobot, Program, StartProgram, StartRobot
 
 from acsar_gym import RobotConfig
@@ -64,7 +64,7 @@ def start_program(programs: list[Program], tmp_path: Path) -> StartProgram:
 @pytest.fixture
 def client(namespace: str, programs: list[Program], deadline: None) -> Iterator[Client]:
     """A node of the test in its namespace."""
-    with ros_tools.client(namespace, programs) as node:
+    with contextlib.closing(Client(namespace, programs)) as node:
         yield node
 
 

@@ -14,7 +14,7 @@ import boards
 import gymnasium
 import numpy as np
 import pytest
-from boards import FAULTS, FaultyBoard, LikeABoard, Overshooting, make_fault
+from boards import FAULTS, FaultyBoard, LikeABoard, make_fault
 from serial_tools import StartEmulator, wait_until
 
 from acsar_gym import Link, Robot, RobotConfig, open_link
@@ -143,10 +143,8 @@ def random_commands(rng: np.random.Generator) -> Iterator[np.ndarray]:
 def test_wheel_check_never_stops_sound_robots(name: str, minutes: float) -> None:
     config, changes, rate = ROBOTS[name]
     hidden = config.with_(firmware={"feedback_rate": rate}).with_(**changes)
-    link: Link = open_link("planar", hidden)
-    if name == "overshooting":
-        link = Overshooting(link)
-    link = FaultyBoard(link, np.random.default_rng(0), dropped=0.02)
+    quirks = ("overshoot=0.25",) if name == "overshooting" else ()
+    link = FaultyBoard(boards.board(*quirks, robot=hidden), np.random.default_rng(0), dropped=0.02)
     patient = config.with_(feedback_timeout=2.0)
     with contextlib.closing(Robot(link, patient)) as robot:
         robot.activate()

@@ -27,49 +27,42 @@ from acsar_gym.tools.jobs import run_jobs
 TESTS = Path(__file__).parent
 
 
-class Nodes:
-    """A running cluster, whose nodes have one CPU each."""
-
-    def __init__(self, count: int) -> None:
-        from ray.cluster_utils import Cluster
-
-        self.cluster: Any = Cluster(
-            initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
-        )
-        self.workers = [self.cluster.add_node(num_cpus=1) for _ in range(count - 1)]
-        self.cluster.wait_for_nodes()
-        self.address: str = self.cluster.address
-
-    def kill(self, number: int) -> None:
-        """SIGKILL a node that isn't the head, as when its power fails."""
-        (raylet,) = self.workers[number].all_processes["raylet"]
-        os.kill(raylet.process.pid, signal.SIGKILL)
-
-
 @contextlib.contextmanager
-def nodes(count: int) -> Iterator[Nodes]:
-    """Run a cluster inside the block. Its processes can import the tests' modules."""
+def two_nodes() -> Iterator[Any]:
+    """A cluster with one CPU a node inside the block. Its processes can import tests' modules."""
+    from ray.cluster_utils import Cluster
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", os.pathsep.join([str(TESTS), str(TESTS.parent)]))
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-        running = Nodes(count)
+        head = {"num_cpus": 1, "include_dashboard": False}
+        running: Any = Cluster(initialize_head=True, head_node_args=head)
         try:
+            running.add_node(num_cpus=1)
+            running.wait_for_nodes()
             yield running
         finally:
-            running.cluster.shutdown()
+            running.shutdown()
+
+
+def kill_worker(cluster: Any) -> None:
+    """SIGKILL the node that isn't the head, as when its power fails."""
+    (worker,) = cluster.worker_nodes
+    (raylet,) = worker.all_processes["raylet"]
+    os.kill(raylet.process.pid, signal.SIGKILL)
 
 
 PATIENCE = 120.0
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Nodes]:
-    with nodes(2) as running:
+def cluster() -> Iterator[Any]:
+    with two_nodes() as running:
         yield running
 
 
 def test_run_jobs_on_both_nodes_yields_results_in_order_of_completion(
-    cluster: Nodes, tmp_path: Path
+    cluster: Any, tmp_path: Path
 ) -> None:
     """The first job waits for the second's result, which only another CPU can compute."""
     jobs = [Job(0, tmp_path, waits=tmp_path / "arrived"), Job(1, tmp_path)]
@@ -79,7 +72,7 @@ def test_run_jobs_on_both_nodes_yields_results_in_order_of_completion(
     assert list(results) == [(0, 0)]
 
 
-def test_run_jobs_raises_the_errors_of_one_process(cluster: Nodes, tmp_path: Path) -> None:
+def test_run_jobs_raises_the_errors_of_one_process(cluster: Any, tmp_path: Path) -> None:
     with pytest.raises(MissingExtraError, match="this job needs an extra"):
         list(run_jobs(missing, [1], address=cluster.address))
     with pytest.raises(AcsarError, match=r"job 5: ZeroDivisionError.*--workers 1 shows where"):
@@ -88,7 +81,7 @@ def test_run_jobs_raises_the_errors_of_one_process(cluster: Nodes, tmp_path: Pat
         list(run_jobs(square, [Job(7, tmp_path, deaths=99)], address=cluster.address))
 
 
-def test_run_jobs_ends_running_jobs_if_it_is_closed(cluster: Nodes, tmp_path: Path) -> None:
+def test_run_jobs_ends_running_jobs_if_it_is_closed(cluster: Any, tmp_path: Path) -> None:
     jobs = [Job(0, tmp_path), Job(1, tmp_path, waits=tmp_path / "never")]
     results: Any = run_jobs(square, jobs, address=cluster.address)
     assert next(results) == (0, 0)
@@ -107,12 +100,12 @@ def test_run_plan_loses_no_result_with_a_killed_node(
     plan = Plan(tuple(agents), tuple(sets), ("planar",), conditions, count=5)
     folders = [runner.open_folder(plan, tmp_path / name, None) for name in ("here", "cluster")]
     expected = runner.run_plan(plan, folders[0])
-    with nodes(2) as cluster:
+    with two_nodes() as cluster:
 
         def run_and_kill(*arguments: Any, **options: Any) -> Iterator[Any]:
             for count, result in enumerate(run_jobs(*arguments, **options)):
                 if count == 2:
-                    cluster.kill(0)
+                    kill_worker(cluster)
                 yield result
 
         monkeypatch.setattr(runner, "run_jobs", run_and_kill)
@@ -122,7 +115,7 @@ def test_run_plan_loses_no_result_with_a_killed_node(
     ]
 
 
-def command(cluster: Nodes, *arguments: str | Path) -> dict[str, Any]:
+def command(cluster: Any, *arguments: str | Path) -> dict[str, Any]:
     """What runs a small benchmark on a cluster, for `subprocess`."""
     small = ("--env", "point_goal", "--sets", "open/acsar", "--links", "planar")
     options = [*small, *map(str, arguments), "--address", cluster.address]
@@ -130,7 +123,7 @@ def command(cluster: Nodes, *arguments: str | Path) -> dict[str, Any]:
     return {"args": [sys.executable, "-m", "acsar_gym", "benchmark", *options], **texts}
 
 
-def test_benchmark_on_a_cluster_prints_nothing_of_ray(cluster: Nodes, tmp_path: Path) -> None:
+def test_benchmark_on_a_cluster_prints_nothing_of_ray(cluster: Any, tmp_path: Path) -> None:
     small = ("--agents", "packaged", "--scenes", "20", "--out", tmp_path / "run")
     ended = subprocess.run(**command(cluster, *small), check=False, timeout=PATIENCE)
     assert (ended.returncode, ended.stderr) == (0, "")
@@ -153,7 +146,7 @@ def act(observation):
 """A policy that leaves a file when it has been called often enough for 20 episodes."""
 
 
-def test_benchmark_on_a_cluster_ends_by_ctrl_c(cluster: Nodes, tmp_path: Path) -> None:
+def test_benchmark_on_a_cluster_ends_by_ctrl_c(cluster: Any, tmp_path: Path) -> None:
     policy = tmp_path / "idle.py"
     marker = tmp_path / "marker"
     policy.write_text(IDLE.format(calls=20 * 200, marker=str(marker)), encoding="utf-8")
@@ -185,13 +178,13 @@ def test_trainings_of_seeds_run_on_a_cluster(tmp_path: Path) -> None:
     """One of the nodes dies while both train."""
     out = tmp_path / "out"
     options = ["--env", "point_goal", "--steps", "300000", "--robots", "64", "--seeds", "0-1"]
-    with nodes(2) as cluster:
+    with two_nodes() as cluster:
         arguments = [*options, "--out", str(out), "--address", cluster.address]
         running = subprocess.Popen([sys.executable, "-m", "acsar_gym", "train", *arguments])
         is_killed = False
         while running.poll() is None:
             if not is_killed and len([*out.glob("seed-?/learning_curve.csv")]) == 2:
-                cluster.kill(0)
+                kill_worker(cluster)
                 is_killed = True
             time.sleep(0.05)
         assert running.returncode == 0
@@ -204,7 +197,7 @@ def test_trainings_of_seeds_run_on_a_cluster(tmp_path: Path) -> None:
 
 
 def test_a_sweep_with_ray_tune_prints_its_table(
-    cluster: Nodes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cluster: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     sweep = runpy.run_path(str(AGENTS / "examples" / "tune_randomization.py"))["main"]
     few = {"env": "point_goal", "levels": (0, 3), "seeds": "0-1", "steps": 1, "episodes": 2}

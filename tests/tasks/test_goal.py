@@ -28,13 +28,10 @@ def test_observe_a_goal_ahead_and_a_goal_to_the_left(
     assert list(observation.values()) == pytest.approx(expected, abs=1e-6)
 
 
-def test_spawn_goals_are_on_all_sides_and_repeat_with_the_seed() -> None:
-    draws = []
-    for _ in range(2):
-        rng = np.random.default_rng(0)
-        draws.append([Spawn(TASK, None, None, ACSAR).draw(rng, {}).goal for _ in range(1000)])
-    assert draws[0] == draws[1]
-    goals = np.array(draws[0])
+def test_spawn_goals_are_on_all_sides() -> None:
+    rng = np.random.default_rng(0)
+    spawn = Spawn(TASK, None, None, ACSAR)
+    goals = np.array([spawn.draw(rng, {}).goal for _ in range(1000)])
     distances = np.hypot(*goals.T)
     assert 0.5 <= distances.min() <= distances.max() <= 3.0
     counts, _ = np.histogram(np.arctan2(goals[:, 1], goals[:, 0]), 8, (-math.pi, math.pi))

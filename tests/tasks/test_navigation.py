@@ -1,4 +1,4 @@
-"""Tasks with a goal behind obstacles: their rewards, and BARN's score."""
+"""Tasks with a goal behind obstacles, and among people: their rewards, and BARN's score."""
 
 from __future__ import annotations
 
@@ -8,24 +8,46 @@ from typing import Any
 import numpy as np
 import pytest
 
+from acsar_gym import RobotConfig, RobotEnv
+from acsar_gym.config.footprint import outline_radius
+from acsar_gym.errors import ConfigError
+from acsar_gym.sensors.map.movers import MOST_RADIUS, MOVER_NAMES
 from acsar_gym.sensors.map.sensor import FARTHEST_CLEARANCE, GAINED, MAP_NAMES, STALLED, log_share
-from acsar_gym.tasks import Barn, ObstacleGoal
+from acsar_gym.tasks import Barn, Crowd, DynaBarn, ObstacleGoal
+from acsar_gym.tasks.crowd import TOP_SPEED
 from acsar_gym.tasks.navigation import BARN_SCORES, barn_score
 from acsar_gym.worlds import Region, World
 
+ACSAR = RobotConfig.preset("acsar")
+REACH = outline_radius(ACSAR.outline)
 WORLD = World(start=Region(0.0, 0.0, 0.0, 0.0), goal=Region(4.0, 0.0))
+NAMES = [*MAP_NAMES, *MOVER_NAMES]
 
 
-def sense(gained: float = 0.0, *clearances: float, stalled: float = 0.0) -> Any:
-    """What the map adds to the observation: clearances in radii of the footprint, and far ones."""
-    sensed = np.ones(len(MAP_NAMES) + 64)
+def sense(gained: float = 0.0, *clearances: float, stalled: float = 0.0, **movers: float) -> Any:
+    """Numbers of map, movers and LiDAR: clearances in radii of the footprint, and far ones."""
+    sensed = np.zeros(len(NAMES) + 64)
+    sensed[: len(MAP_NAMES)] = 1.0
     sensed[GAINED] = gained
     sensed[STALLED] = stalled
+    sensed[TOP_SPEED] = ACSAR.max_linear / (10.0 * REACH)
     for sector, clearance in enumerate(clearances):
         place = MAP_NAMES.index(f"clearance_{47 - 10 * sector}")
         sensed[place] = log_share(clearance, FARTHEST_CLEARANCE)
-    sensed[len(MAP_NAMES) :] = 0.0  # the LiDAR's own numbers pay nothing
+    for name, number in movers.items():
+        sensed[NAMES.index(name)] = number
     return sensed
+
+
+def sense_person(gap: float, bearing: float = 0.0, radius: float = 0.25) -> Any:
+    """With a person whose hull is so far from the robot's circle."""
+    length = log_share((gap + REACH + radius) / REACH, FARTHEST_CLEARANCE)
+    return sense(
+        mover_moves_0=1.0,
+        mover_x_0=length * math.cos(bearing),
+        mover_y_0=length * math.sin(bearing),
+        mover_radius_0=radius / REACH / MOST_RADIUS,
+    )
 
 
 @pytest.mark.parametrize(
@@ -73,3 +95,34 @@ def test_barn_scores_when_it_reaches_the_goal(play: Any) -> None:
     scores = [barn_score(1.0, 20.1, length, speed, k=k) for speed in (2.0, 0.5) for k in (2.0, 4.0)]
     assert [info[name] for name in BARN_SCORES] == pytest.approx(scores)
     assert set(info) == {"goal_distance", "world", *BARN_SCORES}
+
+
+@pytest.mark.parametrize(
+    ("sensed", "share"),
+    [
+        (sense(), 0.0),
+        (sense_person(0.46), 0.0),
+        (sense_person(0.225, 2.0, 0.6), 0.5),
+        (sense_person(-0.1), 1.0),
+    ],
+)
+def test_crowding_in_the_personal_space_of_observed_people(
+    sensed: Any, share: float, play: Any
+) -> None:
+    plain = play(ObstacleGoal(), {}, WORLD).step(sensed=sensed)[0]
+    paid = play(Crowd(), {}, WORLD).step(sensed=sensed)[0]
+    assert plain - paid == pytest.approx(Crowd.weights.crowding * share)
+
+
+def test_collision_weight_of_dyna_barn(play: Any) -> None:
+    free, hit = (
+        play(DynaBarn(), {}, WORLD).step(sensed=sense(), contact=contact)[0]
+        for contact in (False, True)
+    )
+    assert free - hit == pytest.approx(30.0)
+
+
+def test_crowd_task_must_sense_people() -> None:
+    blind = type("Blind", (Crowd,), {"id": "", "sensors": ("map", "lidar")})
+    with pytest.raises(ConfigError, match=r"sensors = \('map', 'lidar'\): must name 'movers'"):
+        RobotEnv(blind, link="planar")

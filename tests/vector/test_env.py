@@ -7,7 +7,6 @@ import signal
 import threading
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
@@ -22,24 +21,11 @@ from acsar_gym.vector.threads import Threads
 from acsar_gym.worlds import generators
 
 pytestmark = pytest.mark.xdist_group(__name__)
-ENV_ID = "acsar_gym/PointGoal-v0"
 Rows = np.ndarray[Any, Any]
 
 
 def make_batch(num_envs: int = 4, **options: Any) -> Any:
     return PointGoalVectorEnv(num_envs, **{"max_episode_steps": 200, **options})
-
-
-def test_make_vec_finds_the_batch() -> None:
-    env = gymnasium.make_vec(ENV_ID, 8, vectorization_mode="vector_entry_point")
-    assert isinstance(env.unwrapped, PointGoalVectorEnv)
-    observations, infos = env.reset(seed=0)
-    assert env.observation_space.contains(observations)
-    assert infos["_goal_distance"].all()
-    observations, rewards, terminated, truncated, _ = env.step(env.action_space.sample())
-    assert env.observation_space.contains(observations)
-    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, np.bool_, np.bool_)
-    env.close()
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
@@ -66,6 +52,7 @@ def test_reset_mask_without_autoreset() -> None:
 
 def rollout(env: RobotVectorEnv, seed: int = 3) -> Rows:
     first = env.reset(seed=seed)[0]
+    assert env.observation_space.contains(first)
     actions = np.random.default_rng(9).uniform(-1.0, 1.0, (50, env.num_envs, 2))
     return np.array([first, *(env.step(action)[0] for action in actions)])
 
@@ -83,8 +70,7 @@ def test_threads_and_history_do_not_change_results(kind: Any, options: dict[str,
     alone, shared = (kind(300, threads=threads, **options) for threads in (1, 2))
     expected = rollout(alone)
     assert (rollout(shared) == expected).all()
-    for name, numbers in alone.batch.info().items():
-        assert np.array_equal(numbers, shared.batch.info()[name], equal_nan=True)
+    np.testing.assert_equal(shared.batch.info(), alone.batch.info())
     rollout(alone, seed=99)
     assert (rollout(alone) == expected).all()
     assert (rollout(copy.deepcopy(make_batch(2))) == rollout(make_batch(2))).all()
@@ -132,12 +118,9 @@ def test_reset_after_ctrl_c_starts_again() -> None:
         ),
     ],
 )
-def test_batch_options_that_are_wrong_are_one_clear_error(
-    options: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ConfigError, match=message) as caught:
+def test_batch_options_that_are_wrong_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         PointGoalVectorEnv(**{"num_envs": 2, **options})
-    assert "\n" not in str(caught.value)
 
 
 def test_batch_actions_and_seeds_that_are_wrong_change_nothing() -> None:

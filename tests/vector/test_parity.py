@@ -47,7 +47,6 @@ PLAZA = World(
 )
 """Where people walk, most of whom react."""
 MOVING = [HALL, PLAZA, REGIONS]
-PATH = World(goal=Region(3.0, 2.0), path=np.array([[0.0, 0.0], [2.0, 0.0], [3.0, 2.0]]))
 LIMITED = ACSAR.with_(
     linear_limits={"max_velocity": 0.4, "max_acceleration": 1.0},
     angular_limits={"max_acceleration": 3.0, "max_jerk": 60.0},
@@ -75,75 +74,64 @@ FITTED = ACSAR.with_(
 LATE = ACSAR.with_(
     baud_rate=38400, firmware={"processing_time": 0.02}, linear_limits={"max_jerk": 20.0}
 )
-CASES: dict[str, tuple[str, dict[str, Any], dict[str, Any]]] = {
-    "a polygon": ("ObstacleGoal", {"worlds": "clutter:6", "robot": POINTED}, {}),
-    "BARN": ("Barn", {"worlds": "barn:4"}, {}),
-    "people": ("Crowd", {"worlds": "crowd_reacting:6"}, {}),
-    "movers of both kinds, and none": (
-        "ObstacleGoal",
-        {"worlds": MOVING, "robot": "jackal", "sensors": [MOVERS]},
-        {},
-    ),
-    "DynaBARN": ("DynaBarn", {"worlds": "dynabarn:4"}, {}),
-    "a goal": ("PointGoal", {}, {"goal": np.array([[1.0, 0.0], [0.5, 0.5], [np.nan, np.nan]])}),
-    "a world": ("ObstacleGoal", {"worlds": "open:100-105"}, {"world": [101, 104, 102]}),
-    "difficulty of each": (
-        "PathFollow",
-        {"worlds": "smooth_path:20", "difficulty": (0.2, 0.6)},
-        {"difficulty": np.array([[0.3, 0.4], [0.3, 0.5], [0.3, 0.6]])},
-    ),
-}
-ROBOTS: dict[str, tuple[str, RobotConfig]] = {
-    "coarse encoders and weak motors": (
-        "PointGoal",
-        ACSAR.with_(
-            encoder={"counts_per_revolution": 100, "window": 0.02},
-            motor={"max_speed": 5.0, "deadband": 1.0, "time_constant": 0.0},
-        ),
-    ),
-    "geofence": ("ObstacleGoal", FENCED),
-    "limits on a slow wire": ("PathFollow", LATE),
-    "everything new": ("PathFollow", FITTED),
-    "slow LiDAR": (
-        "ObstacleGoal",
-        ACSAR.with_(lidar={"rate": 7.0, "field_of_view": 4.7, "dropouts": 0.1, "rays": 33}),
-    ),
-}
-
+COARSE = ACSAR.with_(
+    encoder={"counts_per_revolution": 100, "window": 0.02},
+    motor={"max_speed": 5.0, "deadband": 1.0, "time_constant": 0.0},
+)
+SCANNED = ACSAR.with_(lidar={"rate": 7.0, "field_of_view": 4.7, "dropouts": 0.1, "rays": 33})
 NAMED = ["acsar", "jackal", "husky"]
-FLEETS: dict[str, tuple[str, Any, dict[str, Any]]] = {
-    "with and without limits": ("PointGoal", [UNLIMITED, LIMITED, ACSAR], {}),
-    "obstacles": ("ObstacleGoal", [*NAMED, "drawn:3", POINTED], {"worlds": "clutter:6"}),
-    "movers": ("ObstacleGoal", [*NAMED, POINTED], {"worlds": MOVING, "max_episode_steps": 40}),
-    "as trained": (
-        "PointGoal",
-        [ACSAR, "husky", ACSAR.with_(firmware={"delay_samples": [0.01, 0.02, 0.03]})],
-        {"randomization": True},
-    ),
-}
-"""Task, robots and options of batches whose robots differ."""
 
 
-@pytest.mark.parametrize("name", CASES)
-def test_batch_robot_is_the_single_planar_env(name: str, compare: Any) -> None:
-    kind, arguments, options = CASES[name]
-    assert compare(kind, arguments, 200, options=options) >= 2
+@pytest.mark.parametrize(
+    ("kind", "arguments", "options"),
+    [
+        ("PointGoal", {"robot": COARSE}, {}),
+        ("ObstacleGoal", {"worlds": REGIONS, "robot": FENCED}, {}),
+        ("ObstacleGoal", {"worlds": REGIONS, "robot": SCANNED}, {}),
+        ("ObstacleGoal", {"worlds": MOVING, "robot": "jackal", "sensors": [MOVERS]}, {}),
+        ("Barn", {"worlds": "barn:4"}, {}),
+        ("Crowd", {"worlds": "crowd_reacting:6"}, {}),
+        ("DynaBarn", {"worlds": "dynabarn:4"}, {}),
+        ("PointGoal", {}, {"goal": np.array([[1.0, 0.0], [0.5, 0.5], [np.nan, np.nan]])}),
+        ("ObstacleGoal", {"worlds": "open:100-105"}, {"world": [101, 104, 102]}),
+        (
+            "PathFollow",
+            {"worlds": "smooth_path:20", "difficulty": (0.2, 0.6)},
+            {"difficulty": np.array([[0.3, 0.4], [0.3, 0.5], [0.3, 0.6]])},
+        ),
+    ],
+)
+def test_batch_robot_is_the_single_planar_env(
+    kind: str, arguments: dict[str, Any], options: dict[str, Any], compare: Any
+) -> None:
+    assert compare(kind, arguments, 200, options=options) >= 1
 
 
-@pytest.mark.parametrize("name", ROBOTS)
-def test_batch_of_any_robot_is_the_single_planar_env(name: str, compare: Any) -> None:
-    kind, robot = ROBOTS[name]
-    worlds = {"PointGoal": {}, "ObstacleGoal": {"worlds": REGIONS}}.get(kind, {"worlds": PATH})
-    assert compare(kind, {"robot": robot, **worlds}, 100) >= 1
-
-
-@pytest.mark.parametrize("name", FLEETS)
-def test_fleet_robots_are_single_planar_ones(name: str, compare: Any) -> None:
+@pytest.mark.parametrize(
+    ("kind", "fleet", "arguments", "options"),
+    [
+        ("PointGoal", [UNLIMITED, LIMITED, ACSAR], {}, {}),
+        (
+            "ObstacleGoal",
+            [*NAMED, "drawn:3", POINTED],
+            {"worlds": "clutter:6"},
+            {"difficulty": (0.3, 0.7)},
+        ),
+        ("ObstacleGoal", [*NAMED, POINTED], {"worlds": MOVING, "max_episode_steps": 40}, {}),
+        (
+            "PointGoal",
+            [ACSAR, "husky", ACSAR.with_(firmware={"delay_samples": [0.01, 0.02, 0.03]})],
+            {"randomization": True},
+            {},
+        ),
+    ],
+)
+def test_fleet_robots_are_single_planar_ones(
+    kind: str, fleet: Any, arguments: dict[str, Any], options: dict[str, Any], compare: Any
+) -> None:
     """All robots of a batch, nearly two of each kind."""
-    kind, fleet, arguments = FLEETS[name]
     count = 2 * len(fleet) - 1
     arguments = {"robot": fleet, "max_episode_steps": 25, **arguments}
-    options = {"difficulty": (0.3, 0.7)} if name == "obstacles" else None
     compare(kind, arguments, 60, range(count), count, options=options)
 
 

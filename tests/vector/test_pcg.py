@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
 
 from acsar_gym import jit
 from acsar_gym.vector import pcg
@@ -15,13 +13,6 @@ def next_of(rows: pcg.Generators, i: int) -> float:
 
 
 uniform = jit.loop(next_of)
-
-
-@given(st.integers(0, 2**64))
-def test_uniform_of_the_same_seed(seed: int) -> None:
-    row = np.array([pcg.seed_row(seed)], np.uint64)
-    expected = np.random.default_rng(seed).random(20)
-    assert [uniform(row, 0) for _ in range(20)] == expected.tolist()
 
 
 def test_lent_generators_go_on_where_numpy_ends() -> None:

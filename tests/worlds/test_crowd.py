@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from acsar_gym import RobotConfig
 from acsar_gym.worlds import World, crowd
 from acsar_gym.worlds.crowd import NO_HIT, PERSON_HIT, ROBOT_HIT, Crowd
 from acsar_gym.worlds.geometry import point_clearance, segment_clearance
-from acsar_gym.worlds.movers import Mover, Repeat, follow_keys, walk
+from acsar_gym.worlds.movers import Mover, Repeat, walk
 from acsar_gym.worlds.world import make_rectangle
 
 Floats = NDArray[np.float64]
@@ -109,23 +107,20 @@ def turning(rate: float) -> Callable[[float], Motion]:
 
 
 ACROSS = walk([[-HALF_LENGTH - 0.5, -0.1], [3.0, -0.1]], 0.5)
-CONTACTS: dict[str, tuple[Mover, Any, float]] = {
-    "the robot drives into a person at rest": (walk([[0, 0]]), straight(0.5), ROBOT_HIT),
-    "a person walks into a robot at rest": (walk([[-2, 0.1], [2, 0.1]]), turning(0.0), PERSON_HIT),
-    "from behind a robot that drives away": (
-        walk([[-3.0, 0.0], [9.0, 0.0]], 1.5),
-        straight(0.5, 0.0),
-        PERSON_HIT,
-    ),
-    "into a robot that turns away": (ACROSS, turning(0.5), PERSON_HIT),
-    "into a robot that turns towards the person": (ACROSS, turning(-1.0), ROBOT_HIT),
-    "no contact": (walk([[-3.0, 2.0], [3.0, 2.0]]), turning(1.0), NO_HIT),
-}
 
 
-@pytest.mark.parametrize("name", CONTACTS)
-def test_hit_by_who_ran_into_whom(name: str) -> None:
-    mover, robot, hit = CONTACTS[name]
+@pytest.mark.parametrize(
+    ("mover", "robot", "hit"),
+    [
+        (walk([[0, 0]]), straight(0.5), ROBOT_HIT),
+        (walk([[-2, 0.1], [2, 0.1]]), turning(0.0), PERSON_HIT),
+        (walk([[-3, 0], [9, 0]], 1.5), straight(0.5, 0.0), PERSON_HIT),  # from behind
+        (ACROSS, turning(0.5), PERSON_HIT),  # the robot turns away
+        (ACROSS, turning(-1.0), ROBOT_HIT),  # the robot turns towards the person
+        (walk([[-3, 2], [3, 2]]), turning(1.0), NO_HIT),
+    ],
+)
+def test_hit_by_who_ran_into_whom(mover: Mover, robot: Any, hit: float) -> None:
     assert watch([mover], 4.0, robot)[1].hit == hit
 
 
@@ -142,24 +137,20 @@ def test_advance_crowd_sees_the_same_if_it_looks_seldom() -> None:
     rng = np.random.default_rng(1)
     places = rng.uniform(-3.0, 3.0, (12, 3, 2))
     movers = [walk(way, 0.8, repeat=Repeat(k % 3)) for k, way in enumerate(places)]
-    movers.append(follow_keys([0.0, 2.0, 4.0], places[0], smooth=True))
     hall = Crowd(World(movers=movers), ACSAR, 0.3).hall
     seldom, always = np.zeros((2, len(movers), crowd.STATE_NUMBERS))
     for states in (seldom, always):
         crowd.begin_crowd(hall, states)
 
     contacts = 0.0
-    looks = 0
     for tick in range(1, 1201):
         angle = 0.5 * tick * PERIOD
         pose = (math.sin(angle), -math.cos(angle), angle)
         robot = crowd.motion_of(pose, (0.5, 0.5))
         expected = crowd.advance_crowd(hall, always, tick, robot, np.inf)[:2]
-        looks += int((seldom[:, crowd.LOOK] <= tick).sum())
         assert crowd.advance_crowd(hall, seldom, tick, robot, 0.7)[:2] == expected
         contacts += sum(expected)
     assert contacts > 5.0
-    assert looks < 0.6 * tick * len(movers)
 
 
 # What is measured
@@ -189,12 +180,11 @@ def test_survey_of_a_mover_far_away_and_of_one_that_touches(x: float, expected: 
     assert people.survey((0.0, 0.0, 0.0), (0.5, 0.0)) == expected
 
 
-@given(*[st.floats(-5.0, 5.0)] * 2, *[st.integers(-200, 200).map(lambda n: n / 100.0)] * 2)
-def test_time_to_touch_of_two_discs(dx: float, dy: float, vx: float, vy: float) -> None:
-    soonest = crowd.time_to_touch(dx, dy, vx, vy, 0.6)
-    times = np.arange(0.0, 20.0, 0.01)
-    gaps = np.hypot(dx + vx * times, dy + vy * times) - 0.6
-    assert (gaps[times < soonest] > -1e-6).all()
-    if math.isfinite(soonest):
-        gap = math.hypot(dx + vx * soonest, dy + vy * soonest) - 0.6
-        assert gap == pytest.approx(0.0, abs=1e-6) or (soonest == 0.0 and gap < 0.0)
+@pytest.mark.parametrize("seed", range(20))
+def test_time_to_touch_of_two_discs(seed: int) -> None:
+    dx, dy, vx, vy = np.random.default_rng(seed).uniform((-5, -5, -2, -2), (5, 5, 2, 2)).tolist()
+    soonest = crowd.time_to_touch(dx, dy, vx, vy, 2.0)
+    times = np.append(np.arange(0.0, min(soonest, 20.0), 0.01), soonest)
+    gaps = np.hypot(dx + vx * times, dy + vy * times) - 2.0
+    assert (gaps[:-1] > -1e-6).all()
+    assert gaps[-1] == pytest.approx(0.0, abs=1e-6) or soonest in (0.0, math.inf)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -14,17 +13,15 @@ from samples import samples
 
 from acsar_gym.errors import WorldError
 from acsar_gym.tools.evaluation.provenance import hash_world
-from acsar_gym.worlds import files, generators, moving
+from acsar_gym.worlds import files, generators
 from acsar_gym.worlds.generators import DEFAULT_RADIUS, PATH_MARGIN, generate_world
-from acsar_gym.worlds.geometry import point_clearance, segment_clearance
-from acsar_gym.worlds.movers import PERSON_RADIUS
+from acsar_gym.worlds.geometry import segment_clearance
 from acsar_gym.worlds.search import path_length, shortest_path
 from acsar_gym.worlds.world import World
 
 KINDS = ("open", "clutter", "rooms", "barn", "smooth_path", "waypoint_path")
 SEARCHED = KINDS[:3]
 """Kinds whose path is a shortest one with a margin."""
-CROWDS = ("crowd", "crowd_reacting")
 CUT = 2e-3
 """How much nearer than its radius a path may come to an obstacle [m]."""
 
@@ -61,12 +58,9 @@ def test_generate_world_varies_difficulty_within_a_range(monkeypatch: pytest.Mon
             raise WorldError("can't be crossed")
         return generators.make_open_floor(rng, difficulty, radius)
 
-    levels = [generators.draw_difficulty("open", number, (0.2, 0.4)) for number in range(50)]
-    assert 0.2 <= min(levels) < 0.25
-    assert 0.35 < max(levels) <= 0.4
     monkeypatch.setitem(generators.MAKERS, "open", picky)
     generate_world("open", 7, (0.2, 0.4))
-    assert levels_tried[0] == levels[7]
+    assert levels_tried[0] == generators.draw_difficulty("open", 7, (0.2, 0.4)) > 0.2
     assert min(levels_tried) == levels_tried[-1] == 0.2  # made easier, but not too easy
 
 
@@ -94,8 +88,6 @@ def test_generate_world_refuses_a_footprint_that_is_too_large(kind: str, radius:
 # BARN's fields, behind a corridor of three walls
 
 PUBLISHED = Path(__file__).parents[2].parent / "shared" / "barn"
-INNER = 28 * 30
-"""Cells of a field without its first and last row, which are full."""
 
 
 def field_of(world: World) -> Any:
@@ -110,16 +102,6 @@ def field_of(world: World) -> Any:
     return field
 
 
-def test_make_barn_is_as_full_as_the_published_worlds() -> None:
-    """With two full rows at the sides."""
-    fields = [field_of(generate_world("barn", number)) for number in range(300)]
-    assert all(field[[0, -1]].all() for field in fields)
-    fills = [field[1:-1].sum() / INNER for field in fields]
-    assert 25 / INNER <= min(fills) < 0.05
-    assert 0.22 < max(fills) <= 0.25
-    assert np.mean(fills) == pytest.approx(0.127, abs=0.025)
-
-
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the published worlds aren't here")
 def test_place_cylinders_makes_the_published_worlds_of_their_fields() -> None:
     for world in files.load_folder(PUBLISHED):
@@ -130,21 +112,3 @@ def test_place_cylinders_makes_the_published_worlds_of_their_fields() -> None:
         assert ordered[0] == pytest.approx(ordered[1], abs=1e-6)
         assert len(list(generators.find_crossable(field[None]))) == 1
         assert path_length(shortest_path(world, DEFAULT_RADIUS)) <= world.length
-
-
-# Worlds that move
-
-
-@samples(2, 40)
-@pytest.mark.parametrize("kind", [*CROWDS, "dynabarn"])
-def test_movers_start_away_from_the_robot_and_keep_from_obstacles(kind: str, count: int) -> None:
-    for number in range(count):
-        world = generate_world(kind, number, 0.8)
-        start = world.start.x, world.start.y
-        for mover, share in itertools.product(world.movers, (0.0, 0.3, 1.0)):
-            gap = math.dist(mover.position(0.0, share), start) - mover.radius - DEFAULT_RADIUS
-            assert gap >= moving.START_DISTANCE - moving.BEGIN_SPACING
-        if kind != "dynabarn":
-            times = np.arange(0.0, 60.0, 0.1).tolist()
-            places = [mover.position(time) for mover in world.movers for time in times]
-            assert point_clearance(places, world).min() >= PERSON_RADIUS

@@ -14,9 +14,7 @@ from acsar_gym.worlds.movers import (
     MAX_MOVERS,
     Mover,
     Repeat,
-    draw_offset,
     follow_keys,
-    make_motions,
     walk,
 )
 
@@ -27,6 +25,9 @@ AROUND = walk([[0, 0], [3, 0], [3, 4]], 1.0, repeat=Repeat.LOOP)
 """3 s, 4 s, and 5 s on to the first point."""
 ONCE = walk([[0, 0], [3, 0]], 1.0, repeat=Repeat.STOP)
 WAVE = [[0.0, 0.0], [1.0, 0.5], [1.5, -0.5], [0.5, -1.0]]
+SPLINE = follow_keys([2.0, 3.0, 5.0, 6.5], WAVE, smooth=True, repeat=Repeat.STOP)
+CLOSED = follow_keys([0, 1, 2, 3], [[0, 0], [2, 0], [1, 2], [0, 0]], smooth=True)
+"""As gz-math has it: both ends have the tangent of the neighbours beside the joint."""
 SPLINES = [
     follow_keys([1.5, 2.0, 4.0, 5.5], WAVE, smooth=True, repeat=repeat, phase=3.0)
     for repeat in Repeat
@@ -43,6 +44,11 @@ SPLINES = [
         (ONCE, 1e6, (3.0, 0.0), (0.0, 0.0)),
         (walk([[2, 1], [2, 1]], pauses=3.0), 7.3, (2.0, 1.0), (0.0, 0.0)),
         (follow_keys([5, 6, 8], [[0, 0], [1, 0], [1, 4]]), 7.5, (1.0, 3.0), (0.0, 2.0)),
+        (SPLINE, 2.0, WAVE[0], (0.5, 0.25)),
+        (SPLINE, 3.0, WAVE[1], (0.375, -0.125)),
+        (SPLINE, 5.0, WAVE[2], (-0.5 / 3.0, -0.5)),
+        (CLOSED, 0.0, (0.0, 0.0), (0.5, -1.0)),
+        (CLOSED, 3.0 - 1e-11, (0.0, 0.0), (0.5, -1.0)),
     ],
 )
 def test_motion_by_hand(mover: Mover, time: float, place: Any, velocity: Any) -> None:
@@ -67,25 +73,6 @@ def test_velocity_top_speed_and_bounds_are_those_of_the_places(mover: Mover) -> 
     assert mover.bounds == pytest.approx(bounds.ravel(), abs=0.01 * fastest)
 
 
-def test_follow_keys_makes_a_spline_through_its_keys() -> None:
-    keys = np.array(WAVE)
-    times = np.array([2.0, 3.0, 5.0, 6.5])
-    mover = follow_keys(times, keys, smooth=True, repeat=Repeat.STOP)
-    tangents = (np.array([*keys[1:], keys[-1]]) - [keys[0], *keys[:-1]]) / 2.0
-    for number, time in enumerate(times):
-        assert mover.position(time) == pytest.approx(keys[number], abs=NEAR)
-    for number, duration in enumerate(np.diff(times)):
-        expected = tangents[number] / duration
-        assert mover.velocity(times[number]) == pytest.approx(expected, abs=NEAR)
-
-
-def test_follow_keys_makes_a_closed_spline_without_a_corner() -> None:
-    """As gz-math has it: both ends have the tangent of the neighbours beside the joint."""
-    closed = follow_keys([0, 1, 2, 3], [[0, 0], [2, 0], [1, 2], [0, 0]], smooth=True)
-    for time in (0.0, 3.0 - 1e-9):
-        assert closed.velocity(time) == pytest.approx((0.5, -1.0), abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("repeat", "end"),
     [(Repeat.STOP, (4.0, 2.0)), (Repeat.BACK, (4.0, 0.0)), (Repeat.LOOP, (0.0, 0.0))],
@@ -96,16 +83,6 @@ def test_follow_keys_is_at_rest_until_its_first_time(repeat: Repeat, end: Any) -
         assert mover.position(time) == mover.velocity(time) == (0.0, 0.0)
     for time, place in ((32.5, (2.5, 0.0)), (34.0, (4.0, 0.0)), (36.0, end)):
         assert mover.position(time) == pytest.approx(place)
-
-
-def test_draw_offset_gives_each_episode_its_own_part_of_the_spread() -> None:
-    mover = walk([[0, 0], [9, 0]], 1.0, phase=2.0, spread=5.0)
-    rows = make_motions([[mover] * 3]).movers[0]
-    offsets = [draw_offset(rows[m], m, key) for m in range(3) for key in (0.1, 0.6)]
-    assert len(set(offsets)) == 6
-    assert 2.0 <= min(offsets) < max(offsets) <= 7.0
-    assert draw_offset(rows[0], 0, 0.1) == offsets[0]
-    assert mover.position(0.0, (offsets[1] - 2.0) / 5.0) == pytest.approx((offsets[1], 0.0))
 
 
 LINE = np.array([[0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]])

@@ -1,25 +1,42 @@
-"""Sets, pools and the cache: every form of worlds=, made when needed, once, and what is refused."""
+"""Sets, pools, the cache and registered generators: every form of worlds=, and what is refused."""
 
 from __future__ import annotations
 
 import copy
+import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import corridors as example
+import gymnasium
 import numpy as np
 import pytest
 
-from acsar_gym.errors import WorldError
+from acsar_gym.errors import ConfigError, WorldError
 from acsar_gym.resources import CACHE_VARIABLE
 from acsar_gym.worlds import cache, files, generators, registry
 from acsar_gym.worlds.pool import Pool
+from acsar_gym.worlds.registry import register
 from acsar_gym.worlds.sets import name_alone
 from acsar_gym.worlds.world import Region, World, make_rectangle
 
 PILLAR = np.array([[0.0, 0.0, 0.5]])
 SOUND = World(PILLAR, start=Region(-2.0, 0.0), goal=Region(2.0, 0.0), name="pillar")
 CELL = World(segments=make_rectangle(-1, -1, 1, 1), goal=Region(4.0, 0.0), name="cell")
+
+
+CORRIDORS = registry.REGISTERED.pop("corridors")
+"""The example. No other test shall know it."""
+WALLS = np.array([[1.0, -1.0, 1.0, -0.2], [1.0, 0.2, 1.0, 1.0], *make_rectangle(-1, -1, 3, 1)])
+GAP = World(segments=WALLS, goal=Region(2.0, 0.0))
+THROUGH = World(segments=WALLS, path=np.array([[0.0, 0.0], [2.0, 0.0]]))
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example is registered. What a test registers is forgotten after it."""
+    monkeypatch.setattr(registry, "REGISTERED", {"corridors": CORRIDORS})
 
 
 @pytest.fixture(autouse=True)
@@ -173,11 +190,8 @@ def test_cache_makes_worlds_again_for_a_broken_file_and_a_changed_generator(
     assert len(made) == 3
 
 
-def test_cache_has_no_worlds_of_a_users_own_generator(
-    monkeypatch: pytest.MonkeyPatch, folder: Path, made: list[Any]
-) -> None:
-    monkeypatch.setattr(registry, "REGISTERED", {})
-    registry.register("mine", lambda rng, difficulty, radius: World())
+def test_cache_has_no_worlds_of_a_users_own_generator(folder: Path, made: list[Any]) -> None:
+    register("mine", lambda rng, difficulty, radius: World())
     assert [Pool.of("mine:1")[0].name for _ in range(2)] == ["mine 0"] * 2
     assert len(made) == 2
     assert not (folder / "cache").exists()
@@ -191,3 +205,75 @@ def test_cache_is_pruned_by_a_process_that_makes_worlds(
     cache._prune.cache_clear()
     assert Pool.of("open:10-10")[10]
     assert [path.name for path in folder.rglob("*.pickle")] == ["open 10 None 0.25.pickle"]
+
+
+# Generators that other packages register
+
+
+def test_register_lets_envs_and_batches_drive_in_a_users_worlds() -> None:
+    worlds = "corridors:corridors:3-4"
+    env: Any = gymnasium.make("acsar_gym/ObstacleGoal-v1", link="planar", worlds=worlds)
+    batch: Any = gymnasium.make_vec(
+        "acsar_gym/ObstacleGoal-v1", 4, vectorization_mode="vector_entry_point", worlds=worlds
+    )
+    observation, info = env.reset(seed=3)
+    observations, infos = batch.reset(seed=0)
+    assert info["world"] == infos["world"][3]
+    assert observations[3] == pytest.approx(observation, abs=1e-6)
+    assert json.loads(env.spec.to_json())["kwargs"]["worlds"] == worlds
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "reason"),
+    [
+        ("corridors", lambda rng, difficulty, radius: GAP, "corridors has a generator"),
+        ("clutter", example.corridors, "acsar_gym has a generator"),
+        ("a:b", example.corridors, "lower-case"),
+        ("mine", lambda rng, difficulty: GAP, "footprint_radius"),
+    ],
+)
+def test_register_refuses_bad_names_and_generators(name: Any, make: Any, reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        register(name, make)
+
+
+def test_register_may_replace_a_name_of_the_same_module() -> None:
+    register("mine", lambda rng, difficulty, radius: GAP)
+    register("mine", lambda rng, difficulty, radius: World(goal=Region(3.0, 0.0)))
+    assert Pool.of("mine:1")[0].goal.x == 3.0
+
+
+def raising(rng: Any, difficulty: float, radius: float) -> World:
+    raise KeyError("no\nsuch thing")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (raising, r"'mine' of .*test_pool: raised KeyError: 'no\\nsuch thing'"),
+        (lambda rng, difficulty, radius: [GAP], r"returned \[World.*, must return a World"),
+        (lambda rng, difficulty, radius: GAP, "^mine: no world .*no way from start to goal"),
+        (lambda rng, difficulty, radius: THROUGH, "path passes 0.20 m from an obstacle"),
+    ],
+)
+def test_generate_world_names_a_generator_that_goes_wrong(
+    make: Any, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generators, "MAX_ATTEMPTS", 3)
+    register("mine", make)
+    with pytest.raises(WorldError, match=message) as caught:
+        generators.generate_world("mine", 0, 0.5)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("no_such.module:mine", "can't import no_such.module: .*; install it, or name its folder"),
+        ("math:mine:0-9", "importing math registers no 'mine'"),
+        ("corridor:5", "unknown kind of world 'corridor'; did you mean 'corridors'"),
+    ],
+)
+def test_pool_names_modules_that_register_nothing(source: str, message: str) -> None:
+    with pytest.raises(WorldError, match=message):
+        Pool.of(source)

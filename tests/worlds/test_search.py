@@ -14,7 +14,6 @@ from acsar_gym.worlds.grid import CELL_SIDE, MAX_CELLS, free_cells
 from acsar_gym.worlds.search import (
     path_length,
     remaining_distance,
-    sample_path,
     shortest_path,
     world_along,
 )
@@ -74,12 +73,6 @@ def test_remaining_distance_counts_from_anywhere(
 ) -> None:
     length = remaining_distance(world, 0.25, start, FAR)
     assert length == pytest.approx(expected, rel=0.02, abs=0.0)
-
-
-def test_sample_path_goes_along_its_lines_at_even_distances() -> None:
-    rows = sample_path(np.array([[0, 0], [1, 0], [1, 0], [1, 0.5]]), 0.5)
-    up = math.pi / 2.0
-    assert rows.tolist() == [[0, 0, 0], [0.5, 0, 0], [1, 0, up], [1, 0.5, up]]
 
 
 def test_world_along_starts_on_its_path() -> None:

@@ -14,7 +14,6 @@ from acsar_gym.worlds import follow_keys, walk
 from acsar_gym.worlds.world import (
     Region,
     World,
-    make_wall,
     point_in_world,
     to_odometry,
     to_world,
@@ -73,12 +72,6 @@ def test_region_refuses_bad_numbers(bad: Any) -> None:
 )
 def test_bounds_hold_everything_and_no_more(world: World, bounds: Any) -> None:
     assert world.bounds == bounds
-
-
-def test_make_wall_has_doors_where_asked() -> None:
-    doors = np.array([[-5.0, 0.5], [2.0, 5.0], [4.0, 6.0]])  # two of them overlap
-    wall = make_wall((1.0, 5.0), (11.0, 5.0), doors)
-    assert wall.tolist() == [[1.5, 5.0, 3.0, 5.0], [7.0, 5.0, 11.0, 5.0]]
 
 
 def test_to_odometry_begins_at_the_start() -> None:

@@ -1,4 +1,4 @@
-"""Courses: where a robot is on them, and whom it meets."""
+"""Free ways along arcs, and courses: where a robot is on them, and whom it meets."""
 
 from __future__ import annotations
 
@@ -8,6 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from acsar_gym.config.footprint import make_rectangle, outline_radius
+from acsar_gym.sensors.map.arcs import (
+    ARCS,
+    CURVATURES,
+    LONGEST_ARC,
+    MARGIN,
+    measure_arcs,
+    tabulate_arcs,
+)
 from acsar_gym.sensors.map.courses import (
     CONTACT_GAP,
     COURSE_STEP,
@@ -41,16 +50,21 @@ def test_measure_courses_meets_an_object_when_the_discs_touch() -> None:
         assert gaps[course] < CONTACT_GAP
 
 
-def test_measure_courses_left_and_right_are_mirror_images() -> None:
-    pairs = [COURSES.index((share, -curvature)) for share, curvature in COURSES]
-    image = measure((0.8, -0.5, -0.3, 0.4, 0.2))
-    mirrored = measure((0.8, 0.5, -0.3, -0.4, 0.2))[:, pairs]
-    np.testing.assert_allclose(mirrored, image, rtol=0.0, atol=1e-12)
-
-
 def test_measure_courses_ignores_an_object_that_walks_away() -> None:
     near = (0.7, 0.0, 0.0, 0.0, 0.1)
     away = (0.9, 0.0, 2.0, 0.0, 0.1)
     assert measure(near, away).tolist() == measure(near).tolist()
     assert (measure(away)[0] == 1.0).all()
     assert (measure()[1] == MOST_GAP).all()
+
+
+@pytest.mark.parametrize(("share", "wide"), [(0.5, 0.75), (1.01, None)])
+def test_measure_arcs_of_the_wider_footprint(share: float, wide: float | None) -> None:
+    outline = make_rectangle(0.5, 0.4)
+    radius = outline_radius(outline)
+    spots = np.array([[1.0, 0.2 + share * MARGIN * radius]])
+    shares = np.empty((2, ARCS))
+    measure_arcs(*tabulate_arcs(outline), radius, spots=spots, out=shares.ravel())
+    longest = LONGEST_ARC * radius
+    ahead = shares[:, CURVATURES.index(0.0)] * radius
+    assert ahead == pytest.approx([longest, wide or longest], abs=1e-3)

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from acsar_gym.lidar.scan import Rays
 from acsar_gym.sensors.map.seen import (
@@ -16,7 +11,6 @@ from acsar_gym.sensors.map.seen import (
     COST_LETHAL,
     COST_UNIT,
     COUNT_FREE,
-    COUNT_OCCUPIED,
     HALF,
     MISS,
     OCCUPIED,
@@ -28,14 +22,12 @@ from acsar_gym.sensors.map.seen import (
     make_stamp,
     move_window,
     place_scan,
-    raise_costs,
 )
 
 SIDE = 0.05
 FARTHEST = 4.0
 """Side of a cell, and range of the LiDAR, which sees beyond the window [m]."""
 STAMP = make_stamp(0.12, 0.2)
-CELL = st.tuples(st.integers(-500, 500), st.integers(-500, 500))
 Cell = tuple[int, int]
 
 
@@ -49,8 +41,8 @@ def element(cell: Cell) -> Cell:
     return cell[0] % CELLS, cell[1] % CELLS
 
 
-@given(start=CELL, move=st.tuples(st.integers(-140, 140), st.integers(-140, 140)))
-@settings(max_examples=40, deadline=None)
+@pytest.mark.parametrize("start", [(0, 0), (-371, 444)])
+@pytest.mark.parametrize("move", [(1, -3), (-100, 60), (20, 140)])
 def test_window_that_moves_forgets_what_leaves_it_and_nothing_else(start: Cell, move: Cell) -> None:
     cells = np.random.default_rng(0).integers(1, 200, (2, CELLS, CELLS)).astype(np.uint8)
     grid = make_grid((start[0] + move[0], start[1] + move[1]))
@@ -64,17 +56,14 @@ def test_window_that_moves_forgets_what_leaves_it_and_nothing_else(start: Cell, 
     np.testing.assert_array_equal([grid.counts, grid.costs], expected)
 
 
-def see(grid: Grid, pose: Any, ranges: Any, rays: Rays, turn: int) -> None:
-    """Add a scan in which nothing moves."""
-    measured = np.zeros(0), np.zeros(1), 0.0
-    add_scan(grid, place_scan(pose, np.asarray(ranges), rays, measured=measured, now=0.0), turn)
-
-
 def see_ahead(grid: Grid, distance: float, turn: int) -> Cell:
     """Add a scan of a single ray ahead, and return the cell in which it ends."""
     x = cell_centre(grid.first_i + HALF, SIDE)
     rays = Rays(0.0, 0.1, 0.05, farthest=FARTHEST, mount_x=0.0, mount_y=0.0, period=0.01)
-    see(grid, (x, 0.0, 0.0), [distance], rays=rays, turn=turn)
+    measured = np.zeros(0), np.zeros(1), 0.0  # nothing moves
+    pose = (x, 0.0, 0.0)
+    scan = place_scan(pose, np.array([distance]), rays, measured=measured, now=0.0)
+    add_scan(grid, scan, turn)
     return element((cell_at(x + distance, SIDE), cell_at(0.0, SIDE)))
 
 
@@ -105,29 +94,3 @@ def test_cell_is_free_again_once_enough_measurements_have_passed_through() -> No
         assert grid.counts[cell] == count + OCCUPIED * (count > COUNT_FREE)
     assert not grid.costs.any()
     assert grid.counts.max() == COUNT_FREE
-
-
-@given(middle=CELL, seeds=st.lists(st.integers(0, 5), min_size=1, max_size=12))
-@settings(max_examples=15, deadline=None)
-def test_costs_raised_and_lowered_are_those_made_from_scratch(
-    middle: Cell, seeds: list[int]
-) -> None:
-    """Random scans, each of them four times, by a robot that turns on the spot."""
-    grid = make_grid(middle)
-    x, y = (cell_centre(cell, SIDE) for cell in middle)
-    rays = Rays(
-        -math.pi, math.tau / 24, 0.05, farthest=FARTHEST, mount_x=0.02, mount_y=0.01, period=0.01
-    )
-    for turn, seed in enumerate(np.repeat(seeds, 4).tolist()):
-        rng = np.random.default_rng(seed)
-        ranges = np.where(rng.random(24) < 0.3, FARTHEST, rng.uniform(0.1, 3.6, 24))
-        see(grid, (x, y, 0.1 * seed), ranges, rays=rays, turn=turn)
-
-    fresh = make_grid(middle)
-    occupied = grid.counts >= OCCUPIED
-    for p, q in np.argwhere(occupied).tolist():
-        i = fresh.first_i + (p - fresh.first_i) % CELLS
-        raise_costs(fresh, i, fresh.first_j + (q - fresh.first_j) % CELLS)
-    np.testing.assert_array_equal(grid.costs, fresh.costs)
-    assert (grid.counts[occupied] > OCCUPIED + COUNT_FREE).all()
-    assert (grid.counts[~occupied] < COUNT_OCCUPIED).all()

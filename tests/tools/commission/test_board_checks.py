@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from boards import board
-from integer_board import SIBLING, IntegerLink, NoTrailingComma
+from integer_board import SIBLING, IntegerLink
 
 from acsar_gym import Link, Robot, RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
@@ -51,7 +51,7 @@ def test_run_finds_nothing_to_fix_on_a_board_as_documented(tmp_path: Path) -> No
     ("make", "configured", "status", "needed"),
     [
         (lambda: board("at-comma"), False, "warn", True),
-        (lambda: NoTrailingComma(IntegerLink(SIBLING)), True, "warn", False),
+        (lambda: board("no-comma"), True, "warn", False),
         (lambda: board("no-comma", "dead-wheel=a"), True, "warn", False),
     ],
     ids=["needed", "in the way", "with a dead wheel"],

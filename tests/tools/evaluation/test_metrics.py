@@ -92,9 +92,10 @@ def test_intervals() -> None:
 
 def test_summarise_episodes_joins_round_trips() -> None:
     """The percentiles are those of all trips."""
-    nothing = TickTiming(ticks=0, late_ticks=0, p99=math.nan, worst=math.nan)
+    nan = math.nan
+    nothing = TickTiming(ticks=0, late_ticks=0, missed_ticks=0, p50=nan, p99=nan, worst=nan)
     trips = [(0.04,), (), (*[0.05] * 17, 0.06, 0.08, 0.2)]
-    timings = [EpisodeTiming(nothing, times) for times in trips]
+    timings = [EpisodeTiming(nothing, nan, times) for times in trips]
     summary = summarise_episodes([result(timing=timing) for timing in timings])
     assert (summary.round_trip, summary.round_trips) == (0.05, 21)
     assert report.count_cells(summary)["round trip"] == "50 ms, 95 % 80 ms, of 21"

@@ -7,7 +7,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
-from integer_board import SLOWER, BoardProgram, IntegerLink
+from integer_board import FEEDBACK, SLOWER, BoardProgram, IntegerLink
 from sysid_tools import ACSAR, find_missed_truths
 
 from acsar_gym import RobotConfig
@@ -27,12 +27,12 @@ def describe(program: BoardProgram) -> RobotConfig:
         motor={
             "time_constant": program.lag,
             "gain": tuple(percent / 100.0 for percent in program.gain),
-            "acceleration": float(program.ramp) or NO_RAMP,
+            "acceleration": NO_RAMP,
             "deadband": program.deadband / 100.0,
         },
         firmware={
             "command_delay": 1e-3 * program.delay,
-            "feedback_rate": 1e3 / program.feedback,
+            "feedback_rate": 1e3 / FEEDBACK,
             "command_timeout": 1e-3 * program.timeout or None,
         },
         encoder={"quantum": program.quantum / 100.0, "window": 0.005},
