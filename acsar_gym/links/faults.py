@@ -133,11 +133,13 @@ class FaultyLink(LinkWrapper):
         super().__init__(link)
         self._faults = faults
         self.seed(np.random.default_rng())
+        # Lines are complete until the first reset: a handshake must not fail by chance.
         self._start(Faults(), 0.0)
 
     def seed(self, rng: np.random.Generator) -> None:
         """Set what the next resets draw from."""
         self._key = float(rng.random())
+        # The random number has 53 bits, which are all used as the seed.
         self._rng = np.random.default_rng(int(self._key * 2**53))
 
     def reset(self, scene: Scene) -> None:

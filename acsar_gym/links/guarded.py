@@ -124,6 +124,7 @@ class GuardedLink(Link):
             return
         check_may_start()
 
+        # Before the first byte: from here on every exit path commands zero.
         close_at_exit(self)
         try:
             self._connect()
@@ -133,6 +134,7 @@ class GuardedLink(Link):
             self._wait_for_feedback()
             self.watchdog.wait_ready(self.watchdog_start)
         except BaseException:
+            # Also after Ctrl-C: a link that isn't ready must not stay open.
             self.close()
             forget_link(self)
             raise
@@ -181,6 +183,7 @@ class GuardedLink(Link):
             self._require_open()
             if not data:
                 return
+            # Stopping needs no permission: a tripped watchdog or a signal doesn't prevent it.
             if self._is_stop(data):
                 self._send(data)
                 self.watchdog.note_stop()
@@ -232,6 +235,7 @@ class GuardedLink(Link):
         is_mine = self._lock.acquire(blocking=False)
         if not is_mine:
             self._send_stop()
+            # New writers wait in `write` until this thread has the lock.
             with self._queue:
                 is_mine = self._lock.acquire(timeout=LOCK_TIMEOUT)
         try:

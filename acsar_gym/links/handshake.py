@@ -72,6 +72,7 @@ def check_no_echo(
         LinkError: The board sends commands back, so feedback can't be told from commands.
     """
     probe = ECHO_PROBE + line_end(trailing_comma=config.trailing_comma)
+    # An echo can't be complete before the probe itself has been sent.
     line_time = len(probe) * BITS_PER_BYTE / config.baud_rate
     decoder = Decoder()
     received = b""
@@ -107,6 +108,7 @@ def echo_error(device: str) -> LinkError:
 def silence_error(age: float, decoder: Decoder) -> BoardSilentError:
     """Return the error for a board in use that has sent no valid feedback for `age` [s]."""
     is_interrupted = bool(decoder.partial or decoder.damaged)
+    # Earlier valid lines prove the baud rate, so the board itself has stopped.
     if is_interrupted and decoder.lines >= MIN_VALID_LINES and decoder.damaged < MAX_RESET_DAMAGE:
         return BoardSilentError(
             f"no feedback for {age:.2f} s, the board stopped in the middle of a line after "

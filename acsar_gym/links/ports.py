@@ -86,6 +86,7 @@ def find_lasting_name(device: str) -> str:
         target = path.resolve()
         ports = [port for port in find_ports() if port.serial_number]
         numbers = {port.serial_number for port in ports if Path(port.device).resolve() == target}
+        # With a shared serial number the name could lead to another robot's adapter.
         if sum(port.serial_number in numbers for port in ports) == 1:
             for name in sorted(BY_ID_FOLDER.iterdir()):
                 if name.resolve() == target:
@@ -121,6 +122,7 @@ class PortLocation:
                 path = locate_port(self._lost_name or self.name)
                 port = OpenPort(open_port(path, baud_rate), self.name, find_lasting_name(path))
             except LinkError as error:
+                # A port that wasn't lost won't appear by waiting: a wrong name fails at once.
                 patience = reconnect_timeout if self._lost_name else 0.0
                 if isinstance(error, PortBusyError):
                     patience = max(patience, BUSY_TIMEOUT)
@@ -154,6 +156,7 @@ def open_port(device: str, baud_rate: int) -> Any:
     if "://" in device:
         _check_url(device)
     else:
+        # Two programs on a port would command the same wheels.
         options["exclusive"] = True
 
     try:
@@ -292,6 +295,7 @@ class OpenPort:
         try:
             return bool(select.select([self._port], [], [], seconds)[0])
         except PORT_ERRORS:
+            # A port that is gone fails at once: without a pause the caller would spin.
             time.sleep(seconds)
         return False
 

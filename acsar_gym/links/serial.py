@@ -66,6 +66,7 @@ class SerialLink(GuardedLink):
         # What waited in the driver is of an earlier program.
         self.port.drop_input()
         self.port.drop_output()
+        # The dropped output may have held the first zeros, so they are sent again.
         self.stop()
         wait_for_board(self._read_reply, self.device, self._config)
         check_no_echo(self.write, self._read_reply, self.device, self._config)
@@ -118,10 +119,12 @@ class SerialLink(GuardedLink):
         self._arrivals = []
 
         while (remaining := self._deadline - self.now()) > 0.0:
+            # A period may be longer than the watchdog waits for a sign of life.
             pause = min(remaining, self.watchdog.beat_interval)
             if keeps_arrivals:
                 self._wait_for_piece(pause)
             else:
+                # Another thread may have closed the link during the last pause.
                 self._require_open()
                 time.sleep(pause)
             self._beat()

@@ -47,6 +47,7 @@ class SimulatedLink(Link):
         if self.body is None or self._firmware is None:
             raise _closed_error()
         self.body.reset(scene)
+        # After the body, because the encoders start at its wheels' angles.
         self._firmware.reset(scene.physics)
 
         self._crowd = None

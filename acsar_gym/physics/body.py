@@ -69,6 +69,7 @@ class Body:
         self.wheel_angles: Speeds = ZERO
         self._touched = False
         self._physics = scene.physics or self._configured
+        # Compiled functions need a record. It is made in each episode, not in each loop.
         self._record = record_of(self._physics)
 
     def step(self, set_points: Speeds) -> None:
@@ -149,6 +150,7 @@ class Chassis(NamedTuple):
         return cls(
             bottom,
             top=max(body.height - radius, bottom + 0.01),
+            # A gap of 5 mm on either side separates the chassis from the tyres.
             width=max(0.02, config.wheel_separation - tyre - 0.01),
             tyre=tyre,
         )
@@ -166,6 +168,7 @@ def has_display() -> bool:
     if not sys.platform.startswith("linux"):
         return True
     name = os.environ.get("DISPLAY", "")
+    # A local X server has a socket in /tmp. A display of another computer is believed.
     local = re.fullmatch(r"(?:unix)?:(\d+)(?:\.\d+)?", name)
     return Path(f"/tmp/.X11-unix/X{local[1]}").exists() if local else bool(name)  # noqa: S108
 

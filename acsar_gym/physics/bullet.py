@@ -54,6 +54,7 @@ from acsar_gym.worlds.movers import MAX_MOVER_SPEED
 @contextlib.contextmanager
 def _quiet_stderr() -> Iterator[None]:
     """Hide the banner that PyBullet's C code prints when it is imported."""
+    # C code writes to the descriptor, which redirecting `sys.stderr` doesn't change.
     saved = os.dup(2)
     try:
         with open(os.devnull, "w") as sink:
@@ -153,6 +154,8 @@ class BulletBody(Body):
         self._robot = make_robot(self._config, engine)
         self._obstacles = StandingObstacles(engine, world)
         self._movers = MovingObstacles(engine, world)
+
+        # The reset of the simulation removed the disc, so its number is void.
         self._goal: int | None = None
         if self._visible:
             self._obstacles.paint()
@@ -164,10 +167,12 @@ class BulletBody(Body):
         # Objects of another world can't be removed without a leak: make another simulation.
         if scene.world is not self._obstacles.world:
             self._build(scene.world)
+        # Movers of the last episode must not touch the robot at its new start.
         self._movers.park()
         self._crowd: Crowd | None = None
         self._motion: model.Motion | None = None
 
+        # PyBullet needs inertia about three axes, of which only yaw matters on a flat floor.
         physics = self._physics
         self._engine.changeDynamics(
             self._robot, -1, mass=physics.mass, localInertiaDiagonal=(physics.yaw_inertia,) * 3
@@ -211,6 +216,7 @@ class BulletBody(Body):
         pybullet.applyExternalForce(robot, -1, force, position, pybullet.WORLD_FRAME, client)
         pybullet.applyExternalTorque(robot, -1, torque, pybullet.WORLD_FRAME, client)
         pybullet.stepSimulation(client)
+        # The engine has moved the robot, so the motion that was read is out of date.
         self._motion = None
 
     def _read_motion(self) -> model.Motion:
@@ -254,6 +260,7 @@ class BulletBody(Body):
 
     def image(self, width: int, height: int) -> Image:
         """Take a picture with PyBullet's camera from behind and above: (height, width, 3), RGB."""
+        # From now on movers far away are placed as well, because the next picture shows them.
         self._visible = True
         self._obstacles.paint()
         if self._crowd is not None:
@@ -277,6 +284,7 @@ class BulletBody(Body):
             lightDirection=(1.0, -1.0, 4.0),
             lightDistance=12.0,
             shadow=1,
+            # This renderer runs on the CPU, so pictures need neither a display nor OpenGL.
             renderer=pybullet.ER_TINY_RENDERER,
         )[2]
         # The camera returns RGBA, pictures of envs are RGB.
@@ -373,6 +381,8 @@ def make_robot(config: RobotConfig, engine: Engine) -> int:
             make_shapes(engine, visible, visual=True),
             (0.0, 0.0, radius),
         )
+
+    # PyBullet's own friction and damping would brake the robot in addition to its tyres.
     engine.changeDynamics(
         robot,
         -1,
@@ -413,6 +423,8 @@ def place_feet(config: RobotConfig) -> tuple[list[Point], float]:
             if contains_point(outline, *place) and border_distance(outline, *place) >= MIN_SIZE
         )
         feet.append(next(fitting, (0.0, 0.0)))
+
+    # The foot with the least room sets the radius of all, or the robot would lean.
     return feet, min(config.wheel_radius, *(border_distance(outline, *foot) for foot in feet))
 
 
@@ -428,6 +440,7 @@ def write_prism(outline: Outline, chassis: Chassis) -> Iterator[str]:
     corners = [(x, y, z) for z in (chassis.bottom, chassis.top) for x, y in outline]
     under = range(1, count + 1)  # corners count from 1
     sides = [(k, k % count + 1, k % count + 1 + count, k + count) for k in under]
+    # Corners are counter-clockwise as seen from outside, so the lower face is reversed.
     faces = [range(count + 1, 2 * count + 1), reversed(under), *sides]
     lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners]
     lines += ["f " + " ".join(map(str, face)) for face in faces]
@@ -528,6 +541,7 @@ class MovingObstacles:
         self._placed = []
 
     def _move(self, number: int, position: Point3, velocity: Point3) -> None:
+        # Called for each mover in each tick: keywords and `Engine` would take longer.
         body = self._bodies[number]
         client = self._engine.number
         pybullet.resetBasePositionAndOrientation(body, position, UPRIGHT, client)
@@ -569,6 +583,7 @@ def group_neighbours(shapes: list[Shape]) -> Iterator[list[Shape]]:
 
         # Halve along the longer side, so that compounds are compact.
         ordered = sorted(shapes, key=lambda shape: shape.place[axis])
+        # The first half fills whole compounds, so that there are as few as possible.
         half = MAX_SHAPES * math.ceil(len(shapes) / MAX_SHAPES / 2)
         yield from group_neighbours(ordered[:half])
         yield from group_neighbours(ordered[half:])

@@ -46,6 +46,7 @@ class Firmware:
         self._line_end = line_end(trailing_comma=config.trailing_comma)
         self._byte_time = BITS_PER_BYTE / config.baud_rate
         self._processing = config.firmware.processing_time
+        # A board without a time-out keeps the last command forever.
         self._timeout = config.firmware.command_timeout or math.inf
 
         # A ring of angles, of which the oldest is a window behind the newest.
@@ -77,6 +78,7 @@ class Firmware:
         self._last_command = -math.inf
         self._targets: Speeds = ZERO
         self._set_points: Speeds = ZERO
+        # With a ring full of the present angles, the first line reports wheels at rest.
         self._angles.extend([self._body.wheel_angles] * (self._angles.maxlen or 1))
 
     def receive(self, data: bytes) -> None:
@@ -107,6 +109,7 @@ class Firmware:
         """Run one loop: newest commands, ramps, motors, encoders, and a line if it is due."""
         while self._received and self._received[0][0] <= now + TIME_EPSILON:
             self._take_commands(self._received.popleft()[1], now)
+        # If the host dies, its last command must not drive the wheels for long.
         if now - self._last_command > self._timeout + TIME_EPSILON:
             self._targets = ZERO
         if self._set_points != self._targets:
@@ -116,6 +119,7 @@ class Firmware:
         self._body.step(self._set_points)
         self._angles.append(self._body.wheel_angles)
         self._loops += 1
+        # Loops between lines needn't be a whole number: a count of lines doesn't drift.
         if self._loops >= (self._lines + 1) * self._feedback_every - TIME_EPSILON:
             self._lines += 1
             self._send_line()

@@ -43,6 +43,7 @@ def loop_period(config: RobotConfig) -> float:
 @jit
 def whole_loops(time: float, dt: float) -> float:
     """Return the firmware loops until something is used that is available after a time [s]."""
+    # Without the slack, rounding would add a loop to times that are whole loops.
     loops: float = np.ceil(time / dt - 1e-6)
     return loops
 
@@ -95,6 +96,7 @@ def read_encoders(
     """
     speeds = np.empty(4)
     for wheel in range(4):
+        # An encoder counts whole steps: the difference of two angles would be too exact.
         counts = math.floor(last[wheel] * per_radian) - math.floor(first[wheel] * per_radian)
         speeds[wheel] = counts * per_count
         if quantum > 0.0:
@@ -134,7 +136,9 @@ def compute_physics(config: RobotConfig) -> Physics:
         half_wheelbase=config.wheelbase / 2.0,
         half_track=config.wheel_separation / 2.0,
         mass=body.mass,
+        # That of a box with evenly spread mass, about the vertical axis [kg m^2].
         yaw_inertia=body.mass * (body.length**2 + body.width**2) / 12.0,
+        # Each tyre carries a quarter of the weight [N].
         grip=body.friction * body.mass * GRAVITY / 4.0,
         # Isotropic friction makes the robot turn slower by 1 + (wheelbase / separation)^2. Another
         # measured turn factor is explained by tyres with less or more grip to the side.
@@ -165,6 +169,7 @@ def wheel_speed(
     # A motor saturates after its gain, so a strong motor reaches its top speed earlier.
     set_point = min(max(set_point, -top), top)
     speed += blend * (set_point - speed)
+    # A first-order lag never reaches 0: below 1 mrad/s a stopping wheel is at rest.
     return 0.0 if set_point == 0.0 and abs(speed) < 1e-3 else speed
 
 
@@ -226,6 +231,7 @@ def tyre_step(
     inertia = physics.mass / dt
     yaw_inertia = physics.yaw_inertia / dt
     grip = physics.grip
+    # Below the slip speed friction is viscous, which avoids a division by 0 at rest.
     floor = physics.slip_speed * physics.slip_speed
     # Speeds of the wheels' surfaces: a and d are on the right.
     rim_a = wheels[0] * physics.right_radius
@@ -297,6 +303,7 @@ def robot_step(
     a, b, c, d = turn_wheels(wheels, set_points, robot)
 
     vx, vy, rate = velocity
+    # Tyres push along the axes of the body, but velocities are in the world frame.
     forward, sideways, rate = tyre_step(
         cos * vx + sin * vy,
         cos * vy - sin * vx,
@@ -317,6 +324,7 @@ def robot_step(
 def heading_of(orientation: Quaternion) -> tuple[float, float]:
     """Return cosine and sine of the heading of a robot on a floor."""
     qx, qy, qz, qw = orientation
+    # The body's x axis, seen from above. On a flat floor its length is nearly 1.
     return 1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy)
 
 

@@ -99,6 +99,7 @@ class MujocoBody(Body):
         # Compiling takes a while: a model is kept if only numbers outside of it differ.
         if pick_body(self._physics) != self._compiled or scene.world is not self._world:
             self._compile(self._physics, scene.world)
+        # The lag of the motors has its own state: under load the wheels turn at other speeds.
         self._motors: Speeds = ZERO
 
         mujoco.mj_resetData(self._model, self._data)
@@ -113,6 +114,7 @@ class MujocoBody(Body):
 
     def _compile(self, physics: Physics, world: World | None) -> None:
         """Make the model of a robot in a world."""
+        # The renderer holds the old model.
         self.close()
         spec = make_robot(self._config, physics)
         spec.option.timestep = self._dt / self._substeps
@@ -167,7 +169,9 @@ class MujocoBody(Body):
 
     def _locate(self) -> tuple[Pose, model.Velocity]:
         x, y, _, qw, qx, qy, qz = self._data.qpos[:7].tolist()
+        # A free joint's linear velocity is in the world frame, its spin in the body frame.
         vx, vy, _, _, _, rate = self._data.qvel[:6].tolist()
+        # MuJoCo's quaternions start with w, those of `physics.model` end with it.
         cos, sin = model.heading_of((qx, qy, qz, qw))
         return (x, y, math.atan2(sin, cos)), (vx, vy, rate)
 
@@ -248,13 +252,18 @@ def make_robot(config: RobotConfig, physics: Physics) -> Any:
     footprint is what touches obstacles.
     """
     spec = mujoco.MjSpec.from_file(str(URDF))
+    # MuJoCo would drop shapes that touch nothing, but pictures show them.
     spec.compiler.discardvisual = False
     # Wheels and chassis get other sizes, and their inertia has to follow.
     spec.compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    # With a pyramidal cone, grip would depend on the direction in which a wheel slides.
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = IMPEDANCE_RATIO
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.worldbody.add_light(pos=(1.0, -1.0, 4.0), dir=(-0.2, 0.2, -1.0))
+
+    # Two shapes touch if the contype of either has a bit of the other shape's conaffinity. Floor
+    # and obstacles have only the latter, so they ignore each other.
     spec.worldbody.add_geom(
         type=SHAPE.mjGEOM_PLANE,
         size=(0.0, 0.0, 1.0),
@@ -290,9 +299,12 @@ def make_robot(config: RobotConfig, physics: Physics) -> Any:
         geom.mass = wheel.mass * heavier
         # The coefficient that gives a wheel with a quarter of the weight this grip.
         geom.friction[0] = physics.grip * 4.0 / (physics.mass * model.GRAVITY)
+        # Wheels touch only the floor: obstacles meet the footprint, as in the other bodies.
         geom.contype = FLOOR
         geom.conaffinity = 0
+        # With equal priorities the larger friction of wheel and floor would count.
         geom.priority = 1
+        # A quarter of the robot's mass, as inertia about the axle [kg m^2].
         add_motor(spec, name, inertia=physics.mass / 4.0 * config.wheel_radius**2)
     return spec
 
@@ -336,6 +348,7 @@ def add_motor(spec: Any, wheel: str, *, inertia: float) -> None:
     spec.add_actuator(**target).set_to_velocity(kv=damping)
     # The integral part holds a speed against the ground's resistance.
     integral = spec.add_actuator(**target)
+    # This gain damps rotor and controller critically: a larger gain would overshoot.
     integral.set_to_intvelocity(kp=damping / (4.0 * SERVO_TIME))
     integral.actlimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
@@ -369,6 +382,7 @@ def add_movers(spec: Any, world: World) -> None:
         x, y = mover.position(0.0)
 
         body = spec.worldbody.add_body(pos=(x, y, MOVER_HEIGHT / 2.0))
+        # With `ref` a joint's position is the place in the world, as `place_movers` sets it.
         body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(1.0, 0.0, 0.0), ref=x)
         body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=(0.0, 1.0, 0.0), ref=y)
         body.add_geom(
@@ -377,6 +391,7 @@ def add_movers(spec: Any, world: World) -> None:
             mass=MOVER_MASS,
             contype=0,
             conaffinity=OBSTACLES,
+            # Without friction a mover pushes the robot, but doesn't drag it along its side.
             condim=1,
             priority=1,
             solref=PUSH,

@@ -259,6 +259,7 @@ class Randomization(Section):
             for wheel, place in enumerate(PLACES[name]):
                 if TABLE[name].rule is LAG and not config.motor.of_wheel(wheel).time_constant:
                     continue  # a motor without lag draws nothing
+                # A delay is drawn as a place in its list, a share of the list's length.
                 ends = (0.0, 1.0) if place == DELAY else getattr(self, name)
                 low[place], high[place] = ends
         return DrawnRanges(low, high, np.array(self.delay_samples or (0.0,)))
@@ -463,8 +464,10 @@ def apply_rule(rule: int, configured: float, drawn: float, ratio: float, dt: flo
     if rule == FACTOR:
         number = configured * drawn
     elif rule == TURN and drawn != 1.0:
+        # The turn factor is 1 + kappa * ratio, see `physics.model`.
         number = ((1.0 + configured * ratio) * drawn - 1.0) / ratio
     elif rule == LAG and drawn != 1.0 and configured < 1.0:
+        # The blend is 1 - exp(-dt / lag), so its logarithm holds the lag.
         number = 1.0 - math.exp(math.log(1.0 - configured) / drawn)
     elif rule == VALUE and not np.isnan(drawn):
         number = drawn

@@ -140,6 +140,7 @@ def iterate_blocks(file: IO[bytes], damages: list[str]) -> Iterator[Block]:
     place = find_block(file, 0)
     while place >= 0:
         block = read_block(file, place)
+        # What can't be read may only look like a block, so the search goes on inside it.
         following = place + 1
         if block is not None:
             following = file.tell()
@@ -180,6 +181,7 @@ def find_block(file: IO[bytes], place: int, limit: float = math.inf) -> int:
             return place + offset - RECORD_START.size
         if len(data) < SEARCH_BYTES:
             break
+        # A marker may lie across the end of a piece, so pieces overlap.
         place += SEARCH_BYTES - len(MARKER) + 1
     return -1
 
@@ -192,9 +194,11 @@ def read_block(file: IO[bytes], place: int) -> Block | None:
         return None
     opcode, length, *_ = RECORD_START.unpack(start[: RECORD_START.size])
     remaining = length + LENGTH_START - HEAD_START
+    # With a damaged length the next read could fill the memory.
     if opcode != ATTACHMENT or not CHECKSUM.size <= remaining <= MAX_BLOCK:
         return None
     content = file.read(remaining)
+    # MCAP's checksum leaves out the opcode and the length of the record.
     checksum = zlib.crc32(content[: -CHECKSUM.size], zlib.crc32(start[LENGTH_START:]))
     if len(content) < remaining or content[-CHECKSUM.size :] != CHECKSUM.pack(checksum):
         return None

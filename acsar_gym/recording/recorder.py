@@ -182,6 +182,7 @@ class Recorder(DriveObserver):
         outcome = (result.terminated, result.truncated, result.is_success)
         rows = {
             "steps": (result.step, robot.link.now(), result.reward, *outcome),
+            # The writer reads it later, when the caller may have changed the array.
             "observations": result.observation.copy(),
             "actions": np.clip(action, -LARGEST, LARGEST).astype(np.float32),
         }
@@ -240,6 +241,7 @@ class Recorder(DriveObserver):
             while not is_last:
                 self._wake.wait(BLOCK_PERIOD)
                 self._wake.clear()
+                # Read before the queue is emptied: what came before `close` is then in it.
                 is_last = self._is_ending
                 # What comes meanwhile is written in the next round, so that each round ends.
                 for waiting in range(len(self._queue), 0, -BLOCK_EVENTS):
@@ -282,6 +284,7 @@ class Recorder(DriveObserver):
         self._revolution = None
         # A replay must know which times these are.
         info = {**self._info, "stamped": True} if stamped else self._info
+        # Even into a full queue: without it, the next rows would count for the last episode.
         self._queue.append(Began(stamp, time.time_ns(), info))
         self._info = {}
 

@@ -93,7 +93,9 @@ class Tabulator:
     def _begin_episode(self, began: Began) -> None:
         """Note the opening of an episode. Its clock may have started again at zero."""
         start = round(began.stamp * 1e9)
+        # Times of all episodes continue from the wall clock of the first reset.
         offset = self._opening.get("offset", began.wall - start)
+        # Players sort by time: an episode must not start before the end of the last.
         if start + offset <= self._newest:
             offset = self._newest + EPISODE_GAP - start
         self._opening = {
@@ -201,6 +203,7 @@ class RecordingFile:
         """Write all of the bytes."""
         self.checksum = zlib.crc32(data, self.checksum)
         remaining = memoryview(data)
+        # A file without a buffer may accept fewer bytes than it is given.
         while remaining:
             remaining = remaining[self.raw.write(remaining) :]
         return len(data)
@@ -212,6 +215,7 @@ class RecordingFile:
         """Close the file, also for processes that were forked meanwhile."""
         with contextlib.suppress(OSError, ValueError), self.raw:
             if fcntl is not None:
+                # A forked process shares the lock, and would hold it for as long as it runs.
                 fcntl.flock(self.raw, fcntl.LOCK_UN)
 
 

@@ -55,8 +55,10 @@ class View:
     def fitted(cls, bounds: Bounds, size: tuple[int, int], up: Up, inset: float) -> View:
         """Return the largest view that shows all of `bounds`, `inset` pixels from every edge."""
         x, y = bounds.mean(axis=0).tolist()
+        # Bounds of a single point have no extent, and would make the scale infinite.
         extent = np.ptp(bounds, axis=0).clip(1e-3)
         room = np.subtract(size, 2.0 * inset).clip(1.0)
+        # With x up, the width of the picture shows y and its height shows x.
         scale = (room / (extent[::-1] if up == "x" else extent)).min()
         return cls((x, y), float(scale), size, up)
 
@@ -103,6 +105,8 @@ class Canvas:
         pillow = import_pillow()
         width, height = view.size
         self.view = view
+
+        # Pillow doesn't antialias shapes: they are drawn larger, and `picture` averages them.
         self._fine = replace(
             view, scale=FINE_SCALE * view.scale, size=(FINE_SCALE * width, FINE_SCALE * height)
         )
@@ -111,6 +115,7 @@ class Canvas:
             if isinstance(ground, tuple)
             else ground.copy()
         )
+        # In mode RGBA translucent colours are blended. In mode RGB their alpha would be ignored.
         self.pen = pillow.ImageDraw.Draw(self.layer, "RGBA")
 
     def _fine_pixels(self, points: Floats) -> Floats:
@@ -127,6 +132,7 @@ class Canvas:
     def rays(self, start: Floats, ends: Floats, colour: Colour) -> None:
         """Draw thin lines from one point (1, 2) to many (N, 2)."""
         origin = flatten(self._fine_pixels(start))
+        # Without a finite pose there is no origin, and nothing can be drawn.
         for end in self._fine_pixels(ends).tolist() if origin else ():
             self.pen.line([*origin, *end], fill=colour)
 
@@ -135,6 +141,7 @@ class Canvas:
     ) -> None:
         """Draw a polygon with corners (N, 2)."""
         corners = flatten(self._fine_pixels(points))
+        # Fewer than three corners, which are six numbers, enclose no area.
         if len(corners) >= 6:
             self.pen.polygon(corners, fill=fill, outline=edge, width=round(FINE_SCALE * width))
 
@@ -222,6 +229,7 @@ def thin_line(points: Floats, distance: float) -> Floats:
     # The number of whole distances from the start grows at each point that is kept.
     mark = (path_lengths(points) / distance).astype(np.int64)
     kept = np.append(True, np.diff(mark) > 0)
+    # Without its last point a path would end short of the robot.
     kept[-1] = True
     thinned: Floats = points[kept]
     return thinned
@@ -246,6 +254,7 @@ def encode_png(image: NDArray[np.uint8], comment: str) -> bytes:
 
 def check_picture_size(name: str, size: tuple[int, int]) -> None:
     """Raise ConfigError unless width and height are ints from MIN_SIDE to MAX_SIDE [pixels]."""
+    # The size is what a user passed: a single number and texts raise TypeError here.
     try:
         sides = [MIN_SIDE <= side <= MAX_SIDE and side == int(side) for side in size]
     except (TypeError, ValueError):

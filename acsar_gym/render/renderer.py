@@ -63,6 +63,7 @@ class Screen:
         assignment = self._assignment
         odom = to_world(assignment.start, state.pose)
         self._odom_path.append(odom[:2])
+        # A real robot has no ground truth: then only the path by odometry is drawn.
         if truth is not None:
             self._true_path.append(truth.pose[:2])
         self._frame = TopViewFrame(
@@ -88,6 +89,7 @@ class Screen:
         try:
             self._window.show(image)
         except ConfigError as error:
+            # An episode must not fail for lack of a display. A closed window ignores pictures.
             self._window.close()
             warnings.warn(f"{error}; pictures are drawn off-screen", AcsarWarning, stacklevel=6)
 
@@ -141,6 +143,7 @@ class Window:
             height, width = image.shape[:2]
             data = b"P6 %d %d 255\n" % (width, height) + image.tobytes()  # PPM, which Tk reads
             self._photo.configure(width=width, height=height, data=data, format="PPM")
+            # Tk has no main loop here: without this call the window would neither draw nor close.
             self._root.update()
         if self.closed:
             self.close()

@@ -126,6 +126,8 @@ class TopView:
             draw_movers(canvas, frame.movers)
         if frame.goal is not None:
             draw_goal(canvas, frame.goal, frame.goal_radius)
+
+        # The true path is the wider line, so that both can be seen while odometry is right.
         canvas.line(as_points(frame.true_path), TRUTH_COLOUR, 3.5)
         canvas.line(as_points(frame.odom_path), ODOM_COLOUR, 1.5)
 
@@ -152,6 +154,7 @@ class TopView:
         )
         if has_new_world or not goal_fits:
             bounds = episode_bounds(frame.world, frame.goal)
+            # Worlds are shown as maps, y up. On an open floor the robot starts facing up.
             up: Up = "x" if frame.world is None else "y"
             view = View.fitted(bounds, view.size, up, PICTURE_INSET)
         # A robot that leaves the picture makes it larger.
@@ -163,12 +166,15 @@ class TopView:
 
         self._goal = frame.goal
         self._bounds = bounds
+
+        # Floor, grid and obstacles stay the same for many pictures, which share these layers.
         if has_new_world or view != self.view:
             self._draw_layers(frame.world, view)
 
     def _draw_layers(self, world: World | None, view: View) -> None:
         """Draw the static part twice: outside and inside the area that the LiDAR sees."""
         self._world = world
+        # A translucent overlay would tint obstacles as well: here only floor and grid differ.
         self._dark = draw_world(world, view, *UNSEEN_COLOURS)
         self._lit = draw_world(world, view, *SEEN_COLOURS)
         for canvas in (self._dark, self._lit):
@@ -187,6 +193,7 @@ class TopView:
         is_full_turn = turn > 0.0 and math.tau - turn < 1.5 * turn / (len(angles) - 1)
         canvas.reveal(self._lit.layer, ends if is_full_turn else np.concatenate([sensor, ends]))
         canvas.rays(sensor, ends, (*RAY_COLOUR, 60))
+        # A ray at full range has hit nothing, and gets no dot.
         canvas.discs(ends[ranges < reach - 1e-9], 0.0, RAY_COLOUR, least=1.75)
 
     def _draw_odometry(self, canvas: Canvas, truth: Pose, odom: Pose) -> None:
@@ -222,9 +229,11 @@ def draw_world(world: World | None, view: View, floor: Colour, grid: Colour) -> 
     if world.path is not None:
         canvas.line(world.path, PLAN_COLOUR, 1.0)
     for x, y, radius in world.circles.tolist():
+        # In a large world a thin post would be smaller than a pixel.
         canvas.discs((x, y), radius, OBSTACLE_COLOUR, least=1.0)
     for ends in world.segments.reshape(-1, 2, 2):
         canvas.line(ends, OBSTACLE_COLOUR, 2.5)
+        # Pillow's wide lines end bluntly: discs close the gaps at corners of walls.
         canvas.discs(ends, 0.0, OBSTACLE_COLOUR, least=1.25)
     return canvas
 
@@ -248,6 +257,7 @@ def episode_bounds(world: World | None, goal: Point | None) -> Bounds:
 
     It contains world and goal, or, without a world, origin and goal.
     """
+    # Without a world the robot starts at the origin, which has to be visible.
     corners = np.reshape(world.bounds if world else (0.0,) * 4, (2, 2))
     bounds = span([*corners, goal] if goal else corners)
     if world is not None:
@@ -308,6 +318,7 @@ def place_points(points: Floats, pose: Pose) -> Floats:
     x, y, theta = pose
     cos = math.cos(theta)
     sin = math.sin(theta)
+    # Points are rows, so the rotation matrix is transposed and on their right.
     placed: Floats = points @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
     return placed
 

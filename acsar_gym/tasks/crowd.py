@@ -98,6 +98,7 @@ def crowding(state: State) -> float:
     deepest = 0.0
     for n in range(MOST_MOVERS):
         first = FIRST_MOVER + n * len(NUMBERS)
+        # Only what has moved counts: `near` already makes standing obstacles cost.
         if state.sensed[first + MOVES] > 0.0:
             ahead = float(state.sensed[first + AHEAD])
             left_by = float(state.sensed[first + LEFT])
@@ -105,6 +106,7 @@ def crowding(state: State) -> float:
             # Lengths are observed on a logarithmic scale, from the robot's middle.
             share = math.sqrt(ahead * ahead + left_by * left_by)
             distance = length_of_share(share, FARTHEST_CLEARANCE)
+            # In radii of the footprint, of which the robot's own circle takes 1.
             gap = distance - 1.0 - MOST_RADIUS * float(state.sensed[first + RADIUS])
             deepest = max(deepest, 1.0 - max(gap * reach / PERSONAL_SPACE, 0.0))
     return min(deepest, 1.0)

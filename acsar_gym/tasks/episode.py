@@ -197,6 +197,7 @@ def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tupl
         return -1, check_world(wanted, worlds.radius)
 
     if wanted is None and difficulty is None:
+        # The product may round up to the number of worlds, although the share is below 1.
         key = worlds.key(min(int(share * len(worlds)), len(worlds) - 1))
     elif wanted is None:
         ranks = worlds.ranks(difficulty)
@@ -250,6 +251,7 @@ def assign_path(path: Any) -> Assignment:
 
     The robot starts at the origin of that frame, wherever the path begins.
     """
+    # With its start at the origin, the frame of this world is the odometry frame.
     world = replace(world_along(path), start=Region(0.0, 0.0, 0.0, 0.0), name="given")
     goal = (world.goal.x, world.goal.y)
     return Assignment(goal, world, path_from_start(world), world.length)
@@ -365,6 +367,8 @@ class RunningEpisode:
                 raise self._error("outcome", f"{show_value(outcome)}: {must}")
             self.outcome = Outcome(outcome)
             reward = self.task.reward(state, self.memory, self.outcome)
+
+        # A reward that isn't a number, such as None, becomes NaN here and is refused.
         number = read_number(reward)
         if not math.isfinite(number):
             raise self._error("reward", f"{show_value(reward)}: must be a finite number")

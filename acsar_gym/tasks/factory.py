@@ -111,5 +111,6 @@ def importable_task(task: Any) -> Any:
 def task_name(task: Task | type[Task]) -> str:
     """The id of a task, or the name of its class, for messages."""
     kind = task if isinstance(task, type) else type(task)
+    # An inherited id is that of another class, so `getattr` would name the wrong task.
     name: str = vars(task).get("id") or vars(kind).get("id") or kind.__qualname__
     return name

@@ -139,6 +139,7 @@ class PointGoal(GoalTask):
 
     def __post_init__(self) -> None:
         nearest, _ = check_distances(self.goal_distance)
+        # A goal that is nearer than the tolerance would be reached before the first step.
         if check_positive("goal_tolerance", self.goal_tolerance) >= nearest:
             raise ConfigError(
                 f"goal_tolerance = {self.goal_tolerance:g}: must be below the nearest "

@@ -60,6 +60,7 @@ def barn_score(success: float, time: float, length: float, speed: float, k: floa
     optimal = length / speed
     if math.isnan(optimal):
         return optimal
+    # A success scores at least 1/8, however slow, and at most 1/k, however fast.
     return success * optimal / min(max(time, k * optimal), 8.0 * optimal)
 
 
@@ -177,6 +178,7 @@ def navigation_reward(state: State, outcome: int, weights: Any) -> float:
     # Only the smallest clearance costs, and none above NEAR_SHARE.
     clearance = NEAR_SHARE
     for sector in range(FIRST_SECTOR, FIRST_SECTOR + SECTORS):
+        # Sensed numbers are float32: without `float` only compiled code would use float64.
         clearance = min(clearance, float(state.sensed[sector]))
     nearness = 1.0 - clearance / NEAR_SHARE
 

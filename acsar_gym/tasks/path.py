@@ -181,6 +181,7 @@ def locate_on_path(state: State, memory: Any) -> None:
     """Find the robot's position on its path, near the last one, and write it into the memory."""
     last = len(state.path) - 1
     progress, cross_track, bearing = nearest_on_path(state.path, memory.progress, state.pose)
+    # Samples are evenly spaced: `length / last` is the distance between two of them [m].
     memory.gain = (progress - memory.progress) * (state.length / last)
     memory.progress = progress
     memory.bearing = bearing
@@ -206,6 +207,7 @@ def point_ahead(
     In units of what the top speed drives until the last of these points. `cos` and `sin` are those
     of the robot's heading.
     """
+    # A fast robot has to look farther ahead: points are spaced by time, not by length.
     stride = POINT_TIME * state.max_twist[0]
 
     # Slow robots would see one sample several times.
@@ -234,6 +236,7 @@ def nearest_on_path(path: Floats, progress: float, pose: Pose) -> tuple[float, f
         is the distance to that sample.
     """
     x, y, _ = pose
+    # A path may cross itself: a search of all samples could jump to its other branch.
     first = max(int(progress) - SEARCH_BACK, 0)
     last = min(int(progress) + SEARCH_AHEAD, len(path) - 1)
     nearest = progress
@@ -257,6 +260,7 @@ def nearest_on_path(path: Floats, progress: float, pose: Pose) -> tuple[float, f
             least_square = square
             nearest = k + share
             bearing = path[k, 2]
+            # This cross product is positive if the robot is to the left of the path.
             side = 1.0 if along_x * dy - along_y * dx >= 0.0 else -1.0
     return nearest, side * math.sqrt(least_square), bearing
 

@@ -197,6 +197,7 @@ def new_memory(task: Task) -> Memory:
 def observation_bounds(task: Task) -> tuple[Observation, Observation]:
     """Least and largest values of a task's own part of the observation, each (numbers,)."""
     bounds = np.array(list(task.observation.values()), np.float64).reshape(-1, 2).T
+    # Bounds beyond the largest float32 become infinite, which a space allows.
     with np.errstate(over="ignore"):
         low, high = bounds.astype(np.float32)
     return low, high
@@ -213,6 +214,7 @@ def info_names(task: Task) -> tuple[str, ...]:
 @compilable
 def point_in_disc(x: float, y: float, radius: float, u: float, v: float) -> tuple[float, float]:
     """Map two uniform samples u, v of [0, 1) to a point of the disc around (x, y)."""
+    # Without the root, points would crowd around the middle of the disc.
     distance = radius * math.sqrt(u)
     bearing = 2.0 * math.pi * v
     return x + distance * math.cos(bearing), y + distance * math.sin(bearing)

@@ -102,9 +102,11 @@ class Batch:
             numbers=numbers,
             first_ray=numbers + built_in - rays,
         )
+        # Compiled loops take a record, Python code reads the named tuple.
         self._setups = record_of(self._setup)
         blocks = layout.make_blocks(robots)
         arrays.write_builds(blocks, kinds, self._setup)
+        # All kinds share a ring, which has to be long enough for the slowest wire.
         counts = max(arrays.count_slots(self._setup, kind) for kind in kinds)
         commands = max(arrays.count_commands(self._setup, kind) for kind in kinds)
         edges = [np.reshape(footprint_edges(config)[:rays], (-1, 1)) for config in fleet]
@@ -157,6 +159,7 @@ class Batch:
         if self._crowds is None:
             return None
         radii = self._crowds.motions.movers[world, :, RADIUS]
+        # Worlds with fewer movers are padded with rows of radius -1.
         used = radii > 0.0
         return np.column_stack([self._crowds.states[robot, used, :CLOCK], radii[used]])
 
@@ -188,6 +191,7 @@ class Batch:
     def reset(self, mask: Mask, share: Share) -> None:
         """Start new episodes of the robots in the mask."""
         self.tables.begins[:] = mask
+        # No robot drives in a reset, so users' sensors read only those that start.
         self.tables.drives[:] = False
         share(self._finish_step, len(self.tables.blocks))
         self._observe(share)

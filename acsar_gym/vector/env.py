@@ -230,6 +230,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         self.batch.seed(seeds, mask)
         self.batch.set_reset_options(fields, mask)
         self.batch.reset(mask, self._threads.share)
+        # Not in place: the last info may hold this array as a mask.
         self._done = self._done & ~mask
         self._is_intact = True
         return self.batch.tables.observations.copy(), self._info(mask)
@@ -306,6 +307,7 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
 
         info: Info = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
+            # The reset overwrites the last observations and info of these episodes.
             info = self._final_info(self._done)
             batch.reset(self._done, self._threads.share)
         self._is_intact = True

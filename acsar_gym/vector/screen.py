@@ -74,6 +74,7 @@ class BatchScreen:
         from acsar_gym.render.top_view import TopViewFrame  # noqa: PLC0415 - needs Pillow
 
         config = self._configs[robot]
+        # The first block has more robots than are drawn.
         robots = batch.tables.blocks[0]
         world = int(robots["world"][robot])
         angles = ray_spec(config).angles()

@@ -60,6 +60,7 @@ def make_batch_sensors(
         ConfigError: A batch can't have such a sensor.
     """
     factories = sensor_factories(wanted, period=step)
+    # Factories expect a link. A batch has none, so a closed planar link replaces it.
     sensors = make_sensors(factories, open_link("planar", config), config)
     for sensor in sensors:
         if sensor.name in BUILT_IN and sensor.name not in wanted:
@@ -160,6 +161,7 @@ class BatchSensors:
         x = field.start_x + field.start_cos * field.true_x - field.start_sin * field.true_y
         y = field.start_y + field.start_sin * field.true_x + field.start_cos * field.true_y
         theta = field.start_theta + field.theta
+        # Wrapped as in the single env, so that sensors get the same heading.
         theta -= layout.TURN * np.rint(theta / layout.TURN)
         forward = field.vx * np.cos(field.theta) + field.vy * np.sin(field.theta)
 
@@ -200,6 +202,7 @@ class SensorReader:
 
     def read(self, robots: SensorInput, places: Places) -> Floats:
         """Read robots, (n, size)."""
+        # A number that a sensor doesn't write stays NaN, which the check refuses.
         out = np.full((len(places), self._sensor.size), np.nan)
         self._call("read", robots, places, out)
         check_finite(self._sensor, out, places.tolist())
@@ -213,6 +216,7 @@ class SensorReader:
 
     def _call(self, name: str, robots: SensorInput, places: Places, *out: Floats) -> None:
         """Call a method, and keep what it does to the memory and the generators."""
+        # Indexing copies: what the method changes is written back at the end.
         rows = self._memory[:, places]
         robots = robots._replace(memory=name_memory(self._sensor, rows))
         method = self._methods[name]

@@ -19,6 +19,7 @@ Work = Callable[[int, int], None]
 
 def usable_cores() -> int:
     """Return the number of cores that this process may use."""
+    # A container or a batch system may allow fewer cores than the machine has.
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -80,6 +81,7 @@ class Threads:
             work(*first)
         finally:
             wait(self._running)
+        # Without this, errors of the other threads would be lost.
         for future in self._running:
             future.result()
 

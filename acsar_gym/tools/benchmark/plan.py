@@ -113,6 +113,7 @@ def score_episode(episode: Episode, name: str, *, top_speed: float, tolerance: f
 
     # The robot has arrived when the goal is as near as the tolerance.
     fastest = max(episode.shortest - tolerance, 0.0) / top_speed
+    # A goal that is reached at once takes no time: 1e-9 avoids 0 / 0.
     return fastest / max(episode.time, fastest, 1e-9)
 
 
@@ -197,6 +198,7 @@ def choose_agents(
                 f"--agents {name}: has no policy for {missing[0].id} of set {missing[0].name}: "
                 "name other --sets, or leave it out"
             )
+        # An agent that the user named drives even if it knows the simulator's truth.
         agents += chosen if names else filter(_is_default, chosen)
 
     # Rows are named after agents.
@@ -234,6 +236,7 @@ def _load_agents(name: str, files: dict[str, Sources], envs: Sequence[str]) -> I
         named_id = "" if kind != LEARNED else _read_id(source, envs[0])
         for env_id in envs:
             if named_id in ("", short_id(env_id)):  # only users name ids of other packages
+                # A zip can run code while it is loaded, so it is refused here.
                 policy = load_policy(source, trust=False, env=env_id)
                 yield Agent(label[:MAX_NAME_LENGTH], kind, env_id, policy, seed)
 

@@ -102,6 +102,7 @@ def run_plan(
         with contextlib.closing(running):
             for number, result in report.watch_progress("cells", running, len(waiting)):
                 cell = waiting[number]
+                # A job doesn't know the score of its set, so it is added here.
                 results[cell] = replace(result, episodes=cell.score(result.episodes))
                 append_result(folder, cell, results[cell])
     except KeyboardInterrupt as error:
@@ -123,6 +124,7 @@ def drive_cell(job: EpisodeJob) -> CellResult:
     try:
         env = job.make_env()
     except PolicyError as error:
+        # The message has the file's full path, which differs between computers.
         path = job.load().path
         return CellResult(refused=str(error).replace(str(path), path.name))
     episodes = job.drive(env)

@@ -134,6 +134,7 @@ def _run_words(words: list[str], *, drives: bool) -> int:
     except KeyboardInterrupt:
         stopped = ", the wheels were commanded to stop" if drives else ""
         print_error(f"\nacsar-gym: interrupted{stopped}")
+        # Shells report 128 + 2 for a program that SIGINT ended.
         return 130
     except SystemExit as end:  # raised by tyro, after help and for options that it can't parse
         if isinstance(end.code, str):

@@ -185,6 +185,7 @@ def _find_rate(episode: Episode, control_rate: float) -> float:
     """Env steps per second, by the number of ticks of a recorded step."""
     if len(episode.step_stamps) < 2:
         return DEFAULT_RATE
+    # A median ignores a program's pause between two steps.
     ticks = round(float(np.median(np.diff(episode.step_stamps))) * control_rate)
     return control_rate / max(ticks, 1)
 
@@ -272,6 +273,7 @@ def _replay_episode(env: RobotEnv, name: str, twists: Floats, goal: Goal) -> Dem
         raise ConfigError(f"{name} has ticks without a command: it is no demonstration")
     config = env.robot.config
     actions = np.clip(means / (config.max_linear, config.max_angular), -1.0, 1.0)
+    # Rounded before the replay, so that the env gets exactly the actions of the data.
     actions = actions.astype(np.float32)
 
     observations = [env.reset(options={"goal": goal})[0]]

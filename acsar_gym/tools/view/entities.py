@@ -207,10 +207,12 @@ class EpisodeLogger:
         config = self._config
         spec = ray_spec(config)
         stamps, ranges, _ = part.scans
+        # For a scan of another LiDAR the directions of the rays aren't known.
         if ranges.shape[1] != spec.rays or not len(part.stamps):
             return
         # Scans come between ticks.
         x, y = (np.interp(stamps, part.stamps, column) for column in part.poses.T[:2])
+        # Across pi, interpolation of a wrapped heading would turn through 0.
         headings = np.interp(stamps, part.stamps, np.unwrap(part.poses[:, 2]))
         mount = complex(config.lidar_x_offset, config.lidar_y_offset)
         rays = mount + ranges * np.exp(1j * spec.angles())
@@ -241,6 +243,7 @@ class EpisodeLogger:
 
     def _changes(self, name: str, values: NDArray[Any]) -> Floats:
         """Changes from row to row, (n,), also from the part before. 0 for the first row of all."""
+        # NaN differs from itself, and would count as a change in every row.
         values = np.nan_to_num(values.astype(np.float64))
         changes: Floats = np.diff(values, prepend=self._last.get(name, values[:1].sum()))
         if len(values):
@@ -337,6 +340,7 @@ def make_blueprint(part: Episode, *, is_live: bool) -> rrb.Blueprint:
     # The camera looks down on start and goal.
     x, y = np.divide(read_numbers(part, "goal", 2) or (0.0, 0.0), 2.0).tolist()
     height = 2.4 * max(math.hypot(x, y), 1.5) + 2.0
+    # Seen from straight above no direction would be up, so the eye is 1 cm off.
     eye = rrb.EyeControls3D(position=(x, y - 0.01, height), look_target=(x, y, 0.0))
     above = rrb.Spatial3DView(
         name="From above",

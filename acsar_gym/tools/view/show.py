@@ -184,6 +184,7 @@ def disable_analytics(folder: str) -> dict[str, str]:
 
 def start_viewer() -> Viewer:
     """Open a window of Rerun's viewer, which outlives this program. ConfigError if it fails."""
+    # The system chooses a free port, which another program could take before the viewer.
     with socket.create_server((HOST, 0)) as listener:
         port = listener.getsockname()[1]
     folder = tempfile.mkdtemp(prefix="acsar-view-")
@@ -198,6 +199,7 @@ def start_viewer() -> Viewer:
         )
         deadline = time.monotonic() + START_TIMEOUT
         while process.poll() is None and time.monotonic() < deadline:
+            # A connection that is accepted shows that the viewer is ready.
             with contextlib.suppress(OSError), socket.create_connection((HOST, port), 1.0):
                 return Viewer(f"rerun+http://{HOST}:{port}/proxy", process)
             time.sleep(0.1)

@@ -417,6 +417,7 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     chosen = plan.Plan(
         agents=tuple(plan.choose_agents(what.agents, sets, what.trained, what.seeds)),
         sets=tuple(sets),
+        # A link that is named twice would be driven twice.
         links=tuple(dict.fromkeys(what.links)),
         conditions=tuple(dict.fromkeys(what.conditions)),
         count=what.scenes,
