@@ -114,6 +114,7 @@ pictures: $(READY)  ## draw the README's moving pictures, and the one among peop
 
 $(READY): pyproject.toml constraints.txt
 	@.ci/venv $(VENV) "$(PYTHON)"
+	@echo "installing into $(VENV): some minutes"
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[all,dev,docs]'
 	touch $@
 

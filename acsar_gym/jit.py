@@ -37,7 +37,7 @@ KEPT_FOLDERS = 4
 SLOW_MODULES = ("acsar_gym.vector.kernel.", "acsar_gym.sensors.map.")
 """Modules whose functions take long to compile."""
 SLOW_TO_COMPILE = (
-    "acsar_gym: compiling for a quarter of a minute, once after each installation. "
+    "acsar_gym: compiling for a quarter of a minute, once for each kind of task. "
     "'acsar-gym train --warm-up' does it ahead of time"
 )
 CANNOT_CACHE = (

@@ -207,7 +207,7 @@ def choose_agents(
         if count > 1:
             raise ConfigError(
                 f"--agents: {count} of them are called {show_value(name)} on {env_id}: rename a "
-                "file, function or class"
+                "file, function or class, or name trained policies by their folder with --trained"
             )
     return agents
 

@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.progress import track
 from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
 
 from acsar_gym import reading
 from acsar_gym.errors import ConfigError, escape_unprintable
@@ -115,7 +116,10 @@ def make_table(title: str, rows: Sequence[Cells], texts: Iterable[str] = ()) -> 
     # Names are aligned left, numbers right.
     cells = fill_cells(rows)
     text_columns = {*texts} or {*cells.columns[:1]}
-    table = Table(title=escape_text(title), title_justify="left")
+    # A long title must not be broken at the width of a narrow table.
+    line = Text.from_markup(escape_text(title), overflow="ignore")
+    line.no_wrap = True
+    table = Table(title=line, title_justify="left")
     for name in cells.columns:
         is_text = name in text_columns
         table.add_column(escape_text(name), justify="left" if is_text else "right", overflow="fold")

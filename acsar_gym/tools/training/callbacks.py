@@ -100,7 +100,8 @@ class TrainingWatch(BaseCallback):
         last_steps = self.score.steps if self.score else -interval
         if self.num_timesteps // interval > last_steps // interval:
             score = self._evaluate()
-            if self._plan.options.progress:
+            # After the last rollout the policy is updated once more, and scored again.
+            if self._plan.options.progress and score.steps < self._plan.recipe.steps:
                 self._print(score)
             if self.is_reached:
                 raise TargetReached

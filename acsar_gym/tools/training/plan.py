@@ -115,11 +115,12 @@ class TrainingPlan:
         steps = self.recipe.steps
         rollout = self.recipe.values.get("n_steps", 1)
         updates = math.ceil(steps / rollout / self.recipe.robots)
-        if updates >= FEW_UPDATES or steps / rollout < FEW_UPDATES:  # not even with one robot
+        robots = int(steps / rollout / FEW_UPDATES)
+        if updates >= FEW_UPDATES or robots < 1:
             return ""
         return (
-            f"{steps:,} steps of {self.recipe.robots} robots are only {updates} updates of the "
-            "policy: choose fewer --robots"
+            f"{steps:,} steps of {self.recipe.robots} robots are only {updates} "
+            f"update{'s' * (updates != 1)} of the policy: choose --robots {robots} or fewer"
         )
 
     def make_training_batch(self) -> RobotVectorEnv:

@@ -90,6 +90,13 @@ def test_intervals() -> None:
     assert high - low == pytest.approx(4.0 / math.sqrt(200), rel=0.15)  # 2 * 1.96 sigma
 
 
+def test_make_table_keeps_a_long_title_in_one_line() -> None:
+    console = report.SafeConsole(width=200)
+    with console.capture() as shown:
+        console.print(report.make_table("a title of several words", [{"a": "1"}]))
+    assert shown.get().startswith("a title of several words\n")
+
+
 def test_summarise_episodes_joins_round_trips() -> None:
     """The percentiles are those of all trips."""
     nan = math.nan

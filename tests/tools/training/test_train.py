@@ -151,7 +151,7 @@ def test_train_prints_measured_ranges(tmp_path: Path, capsys: pytest.CaptureFixt
 @pytest.mark.parametrize(
     ("options", "hint"),
     [
-        ({"steps": 100_000, "robots": 512, "env": "obstacle_goal"}, "robots are only 7 updates"),
+        ({"steps": 100_000, "robots": 512, "env": "obstacle_goal"}, "--robots 104 or fewer"),
         ({"steps": 4096, "robots": 512, "algo": "sac"}, "512 robots are only 8"),
         ({"steps": 100_000, "robots": 16, "env": "obstacle_goal"}, ""),
         ({"steps": 1, "robots": 4}, ""),

@@ -443,5 +443,6 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
     print_tables(report.result_table(result))
     for refusal in report.list_refusals(result):
         say(refusal)
-    say(f"written: {file}")
+    files = (file, how.json, how.html, how.csv, how.latex, how.figure)
+    say(f"written: {', '.join(str(path) for path in files if path is not None)}")
     return 0
