@@ -58,8 +58,9 @@ QUIET_TIME = 0.7
 """Time after a zero command without other commands [s]."""
 STOP_TIMEOUT = 3.0
 """Longest wait for a zero command [s]."""
-DOMAINS = itertools.cycle(range(1, 102))
-"""ROS domains. A node that was killed is listed in its domain for a while."""
+WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+DOMAINS = itertools.cycle(range(101 - 52 * WORKER, 0, -1))
+"""ROS domains that no test uses at the same time: killed nodes are listed there for a while."""
 IN_DOMAIN = "import os; os.environ['ROS_DOMAIN_ID'] = '{}'\n"
 FOREIGN = f"import runpy; runpy.run_path({str(FOREIGN_ROBOT)!r}, run_name='__main__')"
 COMMANDER = """
