@@ -64,6 +64,11 @@ def escape_text(text: str) -> str:
     return escape(escape_unprintable(text))
 
 
+def title_line(title: str) -> Text:
+    """Return a title that isn't broken at the width of a narrow table."""
+    return Text(title, "table.title", overflow="ignore", no_wrap=True)
+
+
 def print_tables(*tables: Table) -> None:
     """Print tables. Piped output is wide enough for all columns, unless COLUMNS is set."""
     console = SafeConsole()
@@ -116,10 +121,7 @@ def make_table(title: str, rows: Sequence[Cells], texts: Iterable[str] = ()) -> 
     # Names are aligned left, numbers right.
     cells = fill_cells(rows)
     text_columns = {*texts} or {*cells.columns[:1]}
-    # A long title must not be broken at the width of a narrow table.
-    line = Text.from_markup(escape_text(title), overflow="ignore")
-    line.no_wrap = True
-    table = Table(title=line, title_justify="left")
+    table = Table(title=title_line(title), title_justify="left")
     for name in cells.columns:
         is_text = name in text_columns
         table.add_column(escape_text(name), justify="left" if is_text else "right", overflow="fold")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from acsar_gym.envs import ids
@@ -24,29 +24,34 @@ _NO_INFO: dict[str, Any] = {}
 class BatchVecEnv(VecEnv):
     """A RobotVectorEnv as stable-baselines3's VecEnv, with the episode statistics of Monitor.
 
-    `make_batch` makes one. The batch must use AutoresetMode.SAME_STEP. While an episode goes on,
-    the info of its robot is one shared empty dict. At its end the info has `terminal_observation`,
-    `episode` (r, l, t), `is_success`, `TimeLimit.truncated`, and, if the batch has them, the number
-    of its `world` and the `drawn_` keys of its randomization. There are no single envs, so methods
-    of single envs can't be called.
+    `make_batch` makes one. The batch may be inside Gymnasium's vector wrappers, and must use
+    AutoresetMode.SAME_STEP. While an episode goes on, the info of its robot is one shared empty
+    dict. At its end the info has `terminal_observation`, `episode` (r, l, t), `is_success`,
+    `TimeLimit.truncated`, and, if the batch has them, the number of its `world` and the `drawn_`
+    keys of its randomization. There are no single envs, so methods of single envs can't be called.
 
     Args:
-        robots: The batch to wrap.
+        batch: The batch to wrap.
 
     Raises:
         ConfigError: It isn't a RobotVectorEnv, or has another autoreset mode.
     """
 
-    def __init__(self, robots: RobotVectorEnv) -> None:
-        if not isinstance(robots, RobotVectorEnv):
-            raise ConfigError(f"{robots}: not a batch of acsar_gym: use sb3.make_batch")
-        if robots.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+    def __init__(self, batch: VectorEnv[Any, Any, Any]) -> None:
+        if not isinstance(batch.unwrapped, RobotVectorEnv):
+            raise ConfigError(f"{batch}: not a batch of acsar_gym: use sb3.make_batch")
+        if batch.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ConfigError("stable-baselines3 needs autoreset_mode='SameStep'")
-        self.robots = robots
-        spaces = (robots.single_observation_space, robots.single_action_space)
-        super().__init__(robots.num_envs, *spaces)
-        self._actions: NDArray[np.float32] = np.zeros((robots.num_envs, 2), np.float32)
+        self._batch: Any = batch  # Any: VectorEnv types `seed` as int, ours also takes a list
+        super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
+        self._actions: NDArray[np.float32] = np.zeros((batch.num_envs, 2), np.float32)
         self._started = time.monotonic()
+
+    @property
+    def robots(self) -> RobotVectorEnv:
+        """The batch, without Gymnasium's wrappers."""
+        robots: RobotVectorEnv = self._batch.unwrapped
+        return robots
 
     def reset(self) -> NDArray[np.float32]:
         """Start a new episode of every robot, with the seeds and options that were set before.
@@ -65,7 +70,7 @@ class BatchVecEnv(VecEnv):
                 "set_options: give one dict for all robots, whose values may have a row for each"
             )
         seeds = None if self._seeds == [None] * self.num_envs else self._seeds
-        observations: NDArray[np.float32] = self.robots.reset(seed=seeds, options=options)[0]
+        observations: NDArray[np.float32] = self._batch.reset(seed=seeds, options=options)[0]
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -81,7 +86,7 @@ class BatchVecEnv(VecEnv):
             Observations (robots, n), rewards (robots,), dones (robots,), and one info per
             robot.
         """
-        observations, rewards, terminated, truncated, info = self.robots.step(self._actions)
+        observations, rewards, terminated, truncated, info = self._batch.step(self._actions)
         # Infos of hundreds of robots would cost more than the step: most are one empty dict.
         done = terminated | truncated
         infos = [_NO_INFO] * self.num_envs
@@ -109,12 +114,12 @@ class BatchVecEnv(VecEnv):
 
     def close(self) -> None:
         """Close the batch."""
-        self.robots.close()
+        self._batch.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the batch, repeated for each index."""
-        # All robots of a batch have the same attributes.
-        return [getattr(self.robots, attr_name)] * len(list(self._get_indices(indices)))
+        holder = self._batch if hasattr(self._batch, attr_name) else self._batch.unwrapped
+        return [getattr(holder, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Not supported: robots of a batch have no attributes of their own."""
@@ -128,7 +133,6 @@ class BatchVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Return True for Monitor, whose episode statistics are included, and False for others."""
-        # Algorithms would otherwise wrap the batch in a VecMonitor.
         return [wrapper_class.__name__ == "Monitor"] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
@@ -136,7 +140,7 @@ class BatchVecEnv(VecEnv):
 
         Each is None if the batch was made without `render_mode="rgb_array"`.
         """
-        return self.robots.render() or [None] * self.num_envs
+        return self._batch.render() or [None] * self.num_envs
 
 
 def make_batch(env_id: str, num_envs: int, **options: Any) -> BatchVecEnv:

@@ -14,7 +14,7 @@ from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError
 from acsar_gym.recording.types import Episode, Floats, Recording
 from acsar_gym.tools.evaluation.metrics import bootstrap_interval, replace_nonfinite
-from acsar_gym.tools.evaluation.report import escape_text
+from acsar_gym.tools.evaluation.report import escape_text, title_line
 from acsar_gym.tools.sysid.board_log import resend_twists
 from acsar_gym.tools.sysid.tracks import (
     EpisodeTrack,
@@ -308,7 +308,7 @@ def gap_tables(gap: TwinGap) -> list[Table]:
     # The figures of both twins.
     columns = ("before", "after", "95 % interval", "after / before")
     numbers = (Column(column, justify="right") for column in columns)
-    figures = Table("figure", "unit", *numbers, title=escape_text(title), title_justify="left")
+    figures = Table("figure", "unit", *numbers, title=title_line(title), title_justify="left")
     unfitted, fitted = map(gap.figures, TWIN_SIDES)
     for name, metric in GAP_METRICS.items():
         low, high = map(metric.format, bootstrap_interval(gap.values("after", name)))
