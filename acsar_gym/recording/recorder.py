@@ -35,6 +35,7 @@ from acsar_gym.wire import round_stamp
 from acsar_gym.worlds import Scene
 
 QUEUE_CAPACITY = 20_000  # most events that wait for the writer: at 100 Hz more than a minute's
+WRITER_TIMEOUT = 10.0  # longest wait of a simulation for the writer [s] (then it drops, too)
 ROOM_POLL = 0.001  # how often a simulation looks whether the writer has caught up [s]
 BLOCK_PERIOD = 0.5  # how often events are written, so that they survive a crash [s]
 BLOCK_EVENTS = 300  # most events of a block: about a second of simulated time
@@ -49,9 +50,9 @@ class Recorder(DriveObserver):
     """Records one robot to an MCAP file.
 
     The control loop only appends to a queue, which a thread empties about twice a second. If the
-    queue is full, a real robot's events are dropped and counted, while a simulation waits. A file
-    that can't be written any more, as on a full disk, doesn't stop the robot: the next reset or
-    `close` warns once (RecordingWarning).
+    queue is full, a real robot's events are dropped and counted. A simulation waits at first. A
+    file that can't be written any more, as on a full disk, doesn't stop the robot: the next reset
+    or `close` warns once (RecordingWarning).
 
     Attributes:
         dropped: Number of events that were dropped.
@@ -297,10 +298,18 @@ class Recorder(DriveObserver):
         self.add(rows)
 
     def add(self, rows: Rows) -> None:
-        """Record rows, if there is room for them. A simulation waits for the writer."""
-        # Wheels don't wait for a disk. Simulated time does, unless the writer has failed.
+        """Record rows, if there is room for them. A simulation waits for the writer first."""
+        if len(self._queue) < self._capacity:
+            self._queue.append(rows)
+            return
+
+        # Wheels don't wait for a disk. Simulated time may.
+        # A disk that never answers must not stop a simulation for ever either.
+        deadline = time.monotonic() + WRITER_TIMEOUT
         while len(self._queue) >= self._capacity:
-            if not self._waits or self._thread is None or not self._thread.is_alive():
+            is_writing = self._thread is not None and self._thread.is_alive()
+            if not is_writing or not self._waits or time.monotonic() >= deadline:
+                self._waits = False  # a disk that doesn't answer
                 self.dropped += 1
                 return
             self._wake.set()

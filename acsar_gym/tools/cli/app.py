@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import importlib
 import io
-import itertools
 import os
 import shlex
 import sys
@@ -82,15 +81,12 @@ def join_ros_arguments(words: list[str]) -> list[str]:
     # tyro takes a list of words that begin with dashes only as one word.
     options: list[str] = []
     ros: list[str] = []
-    remaining = iter(words)
-    for word in remaining:
-        if word == "--ros-args":
-            ros += itertools.takewhile(lambda word: word != "--", remaining)
+    is_ros = False
+    for word in words:
+        if word == "--ros-args" or (is_ros and word == "--"):
+            is_ros = word == "--ros-args"
         else:
-            options.append(word)
-
-    # ROS's launch repeats the word without ending the first list.
-    ros = [word for word in ros if word != "--ros-args"]
+            (ros if is_ros else options).append(word)
     return [*options, f"--ros-args={shlex.join(ros)}"] if ros else options
 
 

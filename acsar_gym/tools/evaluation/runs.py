@@ -327,17 +327,20 @@ def evaluate_policy(
     if is_parallel and options.get("record") is not None:
         raise ConfigError("--record: one process records: leave out --workers")
 
-    # The env of this process checks the policy first, before others start.
     resets: Resets = [(seed, {}) for seed in seeds]
-    load = send_policy(policy)
-    config = RobotConfig.of(robot)
-    job = EpisodeJob(load, link, config, options, resets=resets, late_share=late_share)
 
-    def drive(env: Env) -> Iterable[Episode]:
-        running = episodes.run_resets(env, policy, resets, late_share)
+    # The env of this process has checked the policy before others start.
+    def drive(env: Env) -> Iterator[Episode]:
         if is_parallel:
+            load = send_policy(policy)
+            config = RobotConfig.of(robot)
+            job = EpisodeJob(load, link, config, options, resets=resets, late_share=late_share)
             running = _run_parts(job, workers)
-        return report.watch_progress(f"episodes, {report.escape_text(link)}", running, len(seeds))
+        else:
+            running = episodes.run_resets(env, policy, resets, late_share)
+        title = f"episodes, {report.escape_text(link)}"
+        with contextlib.closing(running):
+            yield from report.watch_progress(title, running, len(seeds))
 
     about = {"late_share": late_share}
     done = drive_episodes(policy, link, robot, drive, about=about, seeds=seeds, **options)
@@ -428,8 +431,10 @@ def drive_episodes(
             warnings.warn(f"{policy.path}: {line}", AcsarWarning, stacklevel=2)
         for episode in drive(env):
             results.append(episode)  # noqa: PERF402 - an error must leave the others
-    except (LinkError, KeyboardInterrupt) as error:
-        if not results and not isinstance(error, EmergencyStopError | KeyboardInterrupt):
+    except (EmergencyStopError, KeyboardInterrupt) as error:
+        ended = error
+    except LinkError as error:
+        if not results:
             raise
         ended = error
     finally:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Literal
 
@@ -301,8 +302,7 @@ def check_observation(
 
     A policy may leave out the last sensors, but not all of them.
     """
-    # Texts are compared, so that every difference can be named, and numbers of different origin
-    # may differ in the last digits.
+    # Texts are compared, so that every difference can be named.
     kept = sensors[: max(len(document.observation) - len(task.observation), 1)]
     lines = describe_observation(task, kept)
     pairs = itertools.zip_longest(document.observation, lines, fillvalue="nothing")
@@ -314,7 +314,9 @@ def check_observation(
     }
 
     for field, (trained, current) in facts.items():
-        if _show(trained) != _show(current):
+        are_numbers = isinstance(trained, float) and isinstance(current, float)
+        are_close = are_numbers and math.isclose(trained, current, rel_tol=1e-6)
+        if trained != current and not are_close:
             raise PolicyError(
                 f"{field} is {_quote(trained)} in the file and {_show(current)} in "
                 f"{task_name(task)}: give the env the arguments of the training, or {RETRAIN_HINT}"

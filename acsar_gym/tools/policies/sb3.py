@@ -118,6 +118,7 @@ class BatchVecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute of the batch, repeated for each index."""
+        # All robots of a batch have the same attributes.
         holder = self._batch if hasattr(self._batch, attr_name) else self._batch.unwrapped
         return [getattr(holder, attr_name)] * len(list(self._get_indices(indices)))
 
@@ -133,6 +134,7 @@ class BatchVecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """Return True for Monitor, whose episode statistics are included, and False for others."""
+        # Algorithms would otherwise wrap the batch in a VecMonitor.
         return [wrapper_class.__name__ == "Monitor"] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:

@@ -6,6 +6,7 @@ to the same folder.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import shlex
@@ -38,6 +39,8 @@ KEPT_CHECKPOINTS = 2
 MAX_CONFIG_BYTES = 1_000_000
 RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 """Their versions are recorded, in addition to those of every result."""
+GIT_TIMEOUT = 5.0
+"""Time limit of git [s]."""
 CHANGEABLE_OPTIONS = {"steps", "target", "threads", "progress", "device", "resume", "trust"}
 """Options that may change when a training goes on."""
 
@@ -93,17 +96,10 @@ def begin_config(folder: Path, key: str, recipe: dict[str, Any], options: Traini
 
 def describe_origin(options: TrainingOptions) -> dict[str, Any]:
     """Return command, versions and revision of a training."""
-    # The folder is named, as an installation may be inside another project's repository.
-    git = ["git", f"--git-dir={PACKAGE.parent / '.git'}", f"--work-tree={PACKAGE.parent}"]
-    describe = [*git, "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
-    try:
-        output = subprocess.run(describe, capture_output=True, text=True, check=False).stdout
-    except OSError:  # there is no git
-        output = ""
     return {
         "command": training_command(options),
         "versions": provenance.library_versions(*RECORDED_LIBRARIES),
-        "revision": output.strip() or None,
+        "revision": git_revision(),
     }
 
 
@@ -123,6 +119,18 @@ def training_command(options: TrainingOptions) -> str:
         else:
             words += [flag, *texts]
     return shlex.join(words)
+
+
+def git_revision() -> str | None:
+    """Return the git revision of the package, with "-dirty" if files differ. None without git."""
+    # The folder is named, as an installation may be inside another project's repository.
+    command = ["git", f"--git-dir={PACKAGE.parent / '.git'}", f"--work-tree={PACKAGE.parent}"]
+    command += ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        return subprocess.check_output(
+            command, stderr=subprocess.DEVNULL, text=True, timeout=GIT_TIMEOUT
+        ).strip()
+    return None
 
 
 # Models and tables
@@ -197,12 +205,13 @@ def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOpti
 
     # Whatever would make it another training is refused.
     changes = options.model_dump(exclude_defaults=True)
-    for name in changes.keys() - CHANGEABLE_OPTIONS:
-        if changes[name] != getattr(first_options, name):
+    for name, value in changes.items():
+        first_value = getattr(first_options, name)
+        if name not in CHANGEABLE_OPTIONS and value != first_value:
             flag = f"--{name.replace('_', '-')}"
             raise ConfigError(
-                f"{flag} {changes[name]}: {folder} is of a training with "
-                f"{getattr(first_options, name)}: leave {flag} out, or start a new training"
+                f"{flag} {value}: {folder} is of a training with {first_value}: leave {flag} out, "
+                "or start a new training"
             )
 
     # config.yml contains the hyperparameters that were options.
