@@ -12,7 +12,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.config.footprint import outline_radius, outline_reach
 from acsar_gym.errors import ConfigError
 from acsar_gym.sensors import LIDAR, MAP, MOVERS
-from acsar_gym.sensors.map.seen import CELL_SIDE
+from acsar_gym.sensors.map.seen import CELL_SHIFT, CELL_SIDE, HALF, OCCUPIED
 from acsar_gym.sensors.map.sensor import (
     FARTHEST_CLEARANCE,
     SECTORS,
@@ -84,6 +84,24 @@ def test_map_of_a_lidar_that_only_sees_ahead_remembers_what_is_behind(make_map: 
     clear_map(mapped.record)
     observed = clearances(mapped.see(turned, mapped.nothing))
     assert observed[0] == pytest.approx(UNSEEN_CLEARANCE)
+
+
+def test_cells_met_are_those_of_echoes_within_reach(make_map: Any) -> None:
+    mapped = make_map(LONG)
+    x, y, yaw = 1.0, -2.0, 0.7
+    mapped.see((x, y, yaw), np.full(LONG.lidar.rays, 2.3))
+    cells = mapped.sensor.cells_met(3.0)
+    places = (cells + 0.5 - CELL_SHIFT) * mapped.sensor.cell_side
+    mount = complex(mapped.rays.mount_x, mapped.rays.mount_y) * np.exp(1j * yaw)
+    distances = np.abs(places @ (1, 1j) - complex(x, y) - mount)
+    assert len(cells) > 30
+    assert distances == pytest.approx(2.3, abs=mapped.sensor.cell_side)
+    assert not len(mapped.sensor.cells_met(1.0))
+
+    # The farthest cells are those in which the map isn't cut off.
+    mapped.record.counts[:] = OCCUPIED
+    cells = mapped.sensor.cells_met(100.0)
+    assert len(np.unique(cells, axis=0)) == len(cells) == (2 * HALF - 1) ** 2
 
 
 @pytest.mark.parametrize(
