@@ -420,7 +420,7 @@ def _find_wheels(
         }
         # Wheels that can't be told apart get the same number.
         if len(estimates) == len(WHEELS):
-            estimates = _merge(estimates)
+            estimates = merge_wheels(estimates)
 
         four = []
         for wheel, letter in enumerate(MOTORS):
@@ -435,9 +435,8 @@ def _find_wheels(
         yield from [replace(four[0], wheel="")] if are_alike else four
 
 
-def _merge(estimates: dict[int, Estimate]) -> dict[int, Estimate]:
-    """Return the wheels' mean for all of them if it lies in each interval."""
-    # A narrow interval counts more.
+def merge_wheels(estimates: dict[int, Estimate]) -> dict[int, Estimate]:
+    """Return the wheels' mean, weighted by precision, for all of them if all intervals hold it."""
     values, lows, highs = np.array(list(estimates.values())).T
     mean = float(np.average(values, weights=(highs - lows) ** -2.0))
     if not ((lows <= mean) & (mean <= highs)).all():

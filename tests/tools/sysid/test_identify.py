@@ -19,12 +19,14 @@ from acsar_gym import RobotConfig, open_link
 from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.recording import Recorder
 from acsar_gym.recording.types import WireLog
+from acsar_gym.tools.sysid.board_log import Estimate
 from acsar_gym.tools.sysid.excitation import drive_excitation
 from acsar_gym.tools.sysid.identify import (
     Identification,
     identification_table,
     identify_files,
     identify_logs,
+    merge_wheels,
 )
 
 HIDDEN = ACSAR.with_(
@@ -132,3 +134,12 @@ def test_identify_logs_finds_other_averaging_times(window: float) -> None:
 def test_identify_logs_refuses_a_log_without_commands() -> None:
     with pytest.raises(ConfigError, match="holds no commands"):
         identify_logs([WireLog.of((), ())], ACSAR)
+
+
+def test_merge_wheels_weighs_narrow_intervals_more() -> None:
+    estimates = {0: Estimate(1.0, 0.9, 1.1), 1: Estimate(1.06, 0.86, 1.26)}
+    merged = Estimate(pytest.approx(1.012), 0.86, 1.26)  # type: ignore[arg-type]
+    assert merge_wheels(estimates) == {0: merged, 1: merged}
+
+    estimates[1] = Estimate(1.4, 1.2, 1.6)
+    assert merge_wheels(estimates) == estimates
