@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -101,3 +102,15 @@ def test_movers_advance_once_a_control_period_however_time_is_cut(link: Simulate
     assert places[0][1][:2] == pytest.approx(walker.position(1.0))
     link.reset(Scene())
     assert link.truth.crowd is None
+
+
+def test_realtime_paces_a_simulated_link() -> None:
+    link = open_link("planar", CONFIG, realtime=2.0)
+    link.open()
+    link.reset(Scene())
+    link.advance(TICK)  # compiles
+    start = time.monotonic()
+    for _ in range(40):
+        link.advance(TICK)
+    assert time.monotonic() - start > 38 * TICK / 2.0
+    link.close()

@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError, LinkError, LinkLostError, RecordingWarning
 from acsar_gym.links.faults import Faults, FaultyLink
 from acsar_gym.recording import Recorder, messages, read, reader
+from acsar_gym.recording.recorder import BLOCK_PERIOD
 from acsar_gym.recording.writer import RecordingWriter
 from acsar_gym.sensors.map.sensor import MAP_NAMES
 from acsar_gym.worlds import Scene
@@ -56,6 +58,17 @@ def test_recorder_drops_and_counts_what_a_full_queue_cannot_take(
     recorder.close()
     assert read(path).dropped == recorder.dropped
     assert reader.summarize(path)["tables"]["clocks"] == 1001 - recorder.dropped
+
+
+def test_recorder_waits_between_its_blocks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    times: list[float] = []
+    monkeypatch.setattr(RecordingWriter, "flush", lambda _: times.append(time.monotonic()))
+    recorder = Recorder(path)
+    recorder.open(CONFIG)
+    recorder.begin(0.0, simulated=False)
+    time.sleep(0.2)
+    recorder.close()
+    assert len(times) <= 2 + (times[-1] - times[0]) / BLOCK_PERIOD
 
 
 def test_recorder_prepares_its_messages_before_wheels_turn(
