@@ -121,10 +121,11 @@ class MujocoBody(Body):
         if world is not None:
             add_obstacles(spec, world)
             add_movers(spec, world)
-        self._world = world
-        self._compiled = pick_body(physics)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
+        # Only now: after an error the next reset compiles again.
+        self._world = world
+        self._compiled = pick_body(physics)
         # Places of the wheels' angles and rates in the state, which are read every loop.
         joints = [self._model.joint(f"{wheel}_joint") for wheel in WHEELS]
         self._angles = [int(joint.qposadr[0]) for joint in joints]

@@ -11,10 +11,12 @@ import contextlib
 import hashlib
 import os
 import pickle
+import sys
 from dataclasses import replace
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
+
+import numpy as np
 
 from acsar_gym.resources import cache_folder, hash_sources
 from acsar_gym.worlds import generators, moving, registry
@@ -50,7 +52,9 @@ def fingerprint() -> str:
     """What generated worlds depend on: this package's version and sources, and NumPy's version."""
     sources = hash_sources(Path(__file__).parent)[:16]
     redrawn = hashlib.sha256(moving.REDRAWN.read_bytes()).hexdigest()[:8]
-    return f"{version('acsar_gym')}-{sources}-{redrawn}-numpy-{version('numpy')}"
+    # A package that is used from its folder, without an installation, has no metadata.
+    version = sys.modules["acsar_gym"].__version__
+    return f"{version}-{sources}-{redrawn}-numpy-{np.__version__}"
 
 
 @cache

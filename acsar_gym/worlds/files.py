@@ -60,12 +60,12 @@ class Goal(Section):
     section = "goal"
     x: float
     y: float
-    radius: float = 0.0
+    radius: float | None = None
 
     @property
     def region(self) -> Region:
         """The disc in which the goal or the start is drawn."""
-        return Region(**dict(self))
+        return Region(**self.model_dump(exclude_none=True))
 
 
 class Start(Goal):
@@ -81,9 +81,9 @@ class WorldFile(Section):
     name: str = Field(max_length=1000)
     start: Start | None = None
     goal: Goal | None = None
-    circles: list[Any] = Rows
-    segments: list[Any] = Rows
-    path: list[Any] | None = None
+    circles: list[tuple[float, float, float]] = Rows
+    segments: list[tuple[float, float, float, float]] = Rows
+    path: list[tuple[float, float]] | None = None
     movers: list[Any] = Rows
 
 
@@ -161,8 +161,12 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
     content = reading.read_content(path, MAX_IMPORT_BYTES, WorldError)
     circles, segments = sdf.read_obstacles(content, placement.height)
     is_barn = _is_barn(circles)
-    barn_ends = (BARN_START, BARN_GOAL) if is_barn else (None, None)
-    start, goal = _choose_ends(placement, *barn_ends)
+    start, goal = _choose_ends(
+        placement,
+        start=BARN_START if is_barn else None,
+        goal=BARN_GOAL if is_barn else None,
+        extent=_describe_extent(circles, segments),
+    )
     way = None
     if is_barn and not (placement.start or placement.goal):
         # The published path leads from BARN's own start to its own goal.
@@ -170,8 +174,20 @@ def _read_gazebo(path: Path, placement: Placement) -> World:
     return World(circles, segments, start, goal, path=way, name=path.stem)
 
 
+def _describe_extent(circles: Floats, segments: Floats) -> str:
+    """Where the obstacles are, for users who look for a start, or empty without any."""
+    centres = circles[:, :2]
+    radii = circles[:, 2:]
+    points = np.concatenate([centres - radii, centres + radii, segments.reshape(-1, 2)])
+    if not len(points):
+        return ""
+    min_x, min_y = points.min(axis=0)
+    max_x, max_y = points.max(axis=0)
+    return f" (obstacles are at x {min_x:.2f} to {max_x:.2f}, y {min_y:.2f} to {max_y:.2f})"
+
+
 def _choose_ends(
-    placement: Placement, start: Region | None, goal: Region | None
+    placement: Placement, start: Region | None, goal: Region | None, extent: str = ""
 ) -> tuple[Region, Region]:
     """The start and the goal of a placement, or else of a file, or a WorldError."""
     # What is given with the file wins over the file.
@@ -183,7 +199,7 @@ def _choose_ends(
     options = " ".join("--start X,Y,THETA" if name == "start" else "--goal X,Y" for name in names)
     raise WorldError(
         f"has no {' and no '.join(names)}: run 'acsar-gym worlds convert FILE OUT.yaml {options}' "
-        "[m, rad], or add lines like 'start: {x: 0.0, y: 0.0}' to its YAML"
+        f"[m, rad]{extent}, or add lines like 'start: {{x: 0.0, y: 0.0}}' to its YAML"
     )
 
 
@@ -211,6 +227,9 @@ def _read_barn_path(path: Path) -> Floats | None:
                 points = cells.astype(np.float64, casting="safe") * BARN_CELL + BARN_CORNER
             except Exception as error:  # NumPy raises all kinds for broken files
                 raise WorldError(f"{name}: isn't a .npy file of cells: replace it") from error
+
+            if cells.shape[1:] != (2,):
+                raise WorldError(f"{name}: must hold cells (row, column), has shape {cells.shape}")
             return np.array([(BARN_START.x, BARN_START.y), *points, (BARN_GOAL.x, BARN_GOAL.y)])
     return None
 

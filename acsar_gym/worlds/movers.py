@@ -59,8 +59,8 @@ class Mover:
     """A circle that moves. It is immutable. `walk` and `follow_keys` make movers.
 
     Raises:
-        WorldError: A field has a wrong shape, or numbers that can't be used.
-        ValueError: `repeat` isn't a Repeat.
+        WorldError: A field has a wrong shape, numbers that can't be used, or `repeat` isn't a
+            Repeat.
 
     Example:
         >>> mover = Mover([[0, 1, 0.5, 0, 0, 2, 0, 0, 0]], duration=4.0)
@@ -88,7 +88,13 @@ class Mover:
     """For pictures and messages."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "repeat", Repeat(self.repeat))
+        try:
+            object.__setattr__(self, "repeat", Repeat(self.repeat))
+        except ValueError as error:
+            raise WorldError(
+                f"mover {show_value(self.name)}: repeat = {show_value(self.repeat)}: must be a "
+                "Repeat, such as Repeat.LOOP"
+            ) from error
         object.__setattr__(self, "pieces", _to_floats(self.pieces))
         self.pieces.setflags(write=False)
         problem = self._find_problem()

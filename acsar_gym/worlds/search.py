@@ -30,6 +30,8 @@ from acsar_gym.worlds.world import Floats, Region, World, X, Y
 
 LEAST_REACH = 10.0
 """In large worlds, at least this distance around start and goal is searched first [m]."""
+REACH_FACTOR = 4.0
+"""Factor by which this distance grows if no path was found."""
 ENTRY_CELLS = 4
 """Distance to an end of a path within which the path may enter the grid [cells]."""
 CORNER_CUTS = 4
@@ -171,7 +173,8 @@ def _search_path(world: World, radius: float, ends: Floats) -> Floats | None:
             needed = math.sqrt(max(path_length(path) ** 2 - distance**2, 0.0)) / 2.0
         if reach >= min(farthest, needed):
             return path
-        reach = needed
+        # Step by step: cells of a grid of the whole world may be too large for its doors.
+        reach = REACH_FACTOR * reach if path is None else needed
 
 
 def _entry_cell(grid: Grid, end: Floats, world: World, radius: float) -> int:

@@ -183,6 +183,18 @@ def test_mujoco_robot_has_the_physics_of_its_scene() -> None:
     assert body.truth.pose[2] < -0.05  # the larger wheels are on the left
 
 
+def test_mujoco_compiles_a_world_again_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def add_bad_box(spec: Any, world: World) -> None:
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(-1.0, 1.0, 1.0))
+
+    body = MujocoBody(ACSAR)
+    with monkeypatch.context() as patch:
+        patch.setattr("acsar_gym.physics.mujoco.add_obstacles", add_bad_box)
+        with pytest.raises(ValueError, match="size"):
+            body.reset(Scene(world=WALL))
+    assert 0.5 < touches_at(body, WALL) < 1.0
+
+
 def test_mujoco_image_without_opengl_explains_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*arguments: Any) -> None:
         raise mujoco.FatalError("no context")

@@ -68,6 +68,8 @@ def test_load_world_needs_only_start_and_goal(tmp_path: Path) -> None:
     world = load_world(write(tmp_path / "Empty.YAML", f"\ufeff{ENDS}path: null\n"))
     assert (world.obstacles, world.path, world.name) == (0, None, "Empty")
     assert (world.start, world.goal) == (Region(0.0, 0.0), Region(1.0, 0.0))
+    text = "start: {x: 0, y: 0, radius: , theta: }\ngoal: {x: 1, y: 0, radius: null}"
+    assert load_world(write(tmp_path / "null.yaml", text)).start == Region(0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -77,6 +79,8 @@ def test_load_world_needs_only_start_and_goal(tmp_path: Path) -> None:
         ({"start": None}, "start: {x: 0.0, y: 0.0}"),
         ({"goal": {"x": 0, "y": 0, "theta": 1}}, "goal.theta"),
         ({"circles": [[1, 10**99, 2]]}, "circles: must be finite numbers of at most 10000"),
+        ({"circles": [[1, 2, 3], [1, 2]]}, "'circles.1.2' is missing"),
+        ({"segments": [[1, 2, 3, 4], [1, None, 3, 4]]}, "segments.1.1 = None"),
     ],
 )
 def test_load_world_refuses_bad_fields(
@@ -90,7 +94,7 @@ def test_load_world_refuses_bad_fields(
     [
         ("bad.json", "{", "not valid JSON"),
         ("bad.json", b" " * (files.MAX_TEXT_BYTES + 1), "larger than 5 MB"),
-        ("bad.yaml", ENDS + "circles: [[.nan, 0, 1]]", "circles: must be finite numbers"),
+        ("bad.yaml", ENDS + "circles: [[.nan, 0, 1]]", "circles.0.0 = nan: must be a finite"),
         ("bad.png", ENDS, "read from .world, .sdf, .yaml, .yml, .json"),
     ],
 )

@@ -98,6 +98,7 @@ BAD_KEYS = "needs two times or more, growing, none"
         (Mover, {"duration": 0.0}, r"end at its duration \(0 s\)"),
         (Mover, {"pieces": LINE * 1e308}, "moves at"),
         (Mover, {"pieces": LINE + np.eye(1, 9, 1) * 2e4}, "its places must be at most 10000 m"),
+        (Mover, {"repeat": "loop"}, "repeat = 'loop': must be a Repeat"),
         (walk, {"speed": 0.0}, BAD_WALK),
         (follow_keys, {"times": [1.0, 1.0]}, BAD_KEYS),
         (follow_keys, {"times": [-1.0, 1.0]}, BAD_KEYS),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from dataclasses import asdict
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -188,6 +189,15 @@ def test_cache_makes_worlds_again_for_a_broken_file_and_a_changed_generator(
     monkeypatch.setattr(cache, "fingerprint", lambda: "other sources")
     assert content(Pool.of("open:1")[0]) == world
     assert len(made) == 3
+
+
+def test_cache_needs_no_installed_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str) -> None:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata.Distribution, "from_name", refuse)
+    cache.fingerprint.cache_clear()
+    assert Pool.of("open:1")[0].name == "open 0"
 
 
 def test_cache_has_no_worlds_of_a_users_own_generator(folder: Path, made: list[Any]) -> None:

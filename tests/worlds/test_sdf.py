@@ -171,6 +171,8 @@ def test_load_world_gives_only_barns_own_worlds_its_start_goal_and_path(tmp_path
         WorldError, match=r"has no start and no goal: run .*OUT.yaml --start X,Y,THETA --goal"
     ):
         files.load_world(path)
+    with pytest.raises(WorldError, match=r"obstacles are at x -4.50 to .*, y 0.00 to 5.10\)"):
+        files.load_world(path, Placement(goal="-1,3.5"))
     world = files.load_world(path, Placement(start=(1.0, 2.0, 0.5), goal="-1,3.5"))
     assert (world.start, world.goal) == (Region(1.0, 2.0, 0.0, 0.5), Region(-1.0, 3.5))
 
@@ -178,7 +180,7 @@ def test_load_world_gives_only_barns_own_worlds_its_start_goal_and_path(tmp_path
 @pytest.mark.parametrize(
     "cells",
     [
-        *([[1, 2, 3]], [["a", "b"]], [[math.nan, 1.0]], b"", b"\x80\x04K\x01."),
+        *([[1, 2, 3]], [[1], [2]], [1, 2], [["a", "b"]], [[math.nan, 1.0]], b"", b"\x80\x04K\x01."),
         b"\x93NUMPY\x01\x00\x80\x00%-127s\n"
         % b"{'descr': '<i8', 'fortran_order': False, 'shape': (1000000000000, 2), }",
     ],

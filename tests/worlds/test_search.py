@@ -38,6 +38,14 @@ def test_shortest_path_round_a_pillar_is_two_tangents_and_an_arc(radius: float) 
     assert segment_clearance(path[:-1], path[1:], world).min() > radius - CUT
 
 
+def test_shortest_path_finds_a_far_door_in_a_large_world() -> None:
+    # A grid of all 400 m has cells of 40 cm, which are too large for a door of 80 cm.
+    walls = np.array([[1.5, -200.0, 1.5, 24.93], [1.5, 25.73, 1.5, 200.0]])
+    hall = make_rectangle(-200.0, -200.0, 200.0, 200.0)
+    path = shortest_path(World(segments=np.concatenate([hall, walls]), goal=FAR), 0.25)
+    assert path_length(path) == pytest.approx(50.5, rel=0.01)
+
+
 @pytest.mark.parametrize(
     ("world", "message"),
     [
