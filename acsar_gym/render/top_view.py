@@ -43,7 +43,6 @@ SEEN_COLOURS = ((249, 238, 237), (232, 220, 223))
 OBSTACLE_COLOUR = (58, 64, 77)
 PLAN_COLOUR = (120, 128, 142)
 GOAL_COLOUR = (38, 173, 97)
-START_COLOUR = (30, 110, 220)
 ODOM_COLOUR = (30, 110, 220)
 TRUTH_COLOUR = (245, 137, 32)
 RAY_COLOUR = (216, 60, 80)
@@ -62,6 +61,8 @@ PICTURE_INSET = 10.0
 """Smallest distance of world and robot from the edges of the picture [pixels]."""
 SMALL_ROBOT = 10.0
 """Robots shorter than this get a ring, to be visible [pixels]."""
+MAX_PATH_POINTS = 1000
+"""Longer paths are thinned out: otherwise pictures of a long drive would take longer and longer."""
 VELOCITY_TIME = 0.6
 """The line of a mover's velocity ends where it will be in this time [s]."""
 
@@ -128,8 +129,8 @@ class TopView:
             draw_goal(canvas, frame.goal, frame.goal_radius)
 
         # The true path is the wider line, so that both can be seen while odometry is right.
-        canvas.line(as_points(frame.true_path), TRUTH_COLOUR, 3.5)
-        canvas.line(as_points(frame.odom_path), ODOM_COLOUR, 1.5)
+        canvas.line(thin_path(frame.true_path), TRUTH_COLOUR, 3.5)
+        canvas.line(thin_path(frame.odom_path), ODOM_COLOUR, 1.5)
 
         self._draw_ring(canvas, pose, CHASSIS_COLOUR)
         for corners, colour in self._parts:
@@ -308,9 +309,14 @@ def polar_points(angles: Floats, ranges: Floats) -> Floats:
     return np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
 
 
-def as_points(path: Sequence[Point]) -> Floats:
-    """Return a path as an array (N, 2) [m]."""
-    return np.array(path, np.float64).reshape(-1, 2)
+def thin_path(path: Sequence[Point]) -> Floats:
+    """Return at most about MAX_PATH_POINTS points of a path with its last point, (N, 2) [m]."""
+    # A step that doubles keeps most points of the last picture, so that the line doesn't flicker.
+    step = 1
+    while len(path) > MAX_PATH_POINTS * step:
+        step *= 2
+    points = np.array(path[::step], np.float64).reshape(-1, 2)
+    return points if step == 1 else np.concatenate([points, path[-1:]])
 
 
 def place_points(points: Floats, pose: Pose) -> Floats:

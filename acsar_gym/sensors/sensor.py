@@ -63,7 +63,7 @@ class SensorInput(NamedTuple):
     twist: Floats
     """(n, 2): True forward speed [m/s] and yaw rate [rad/s]. NaN on hardware."""
     contact: NDArray[np.bool_]
-    """(n,): Whether the robot has touched an obstacle since the reset."""
+    """(n,): Whether the robot has touched an obstacle since the reset. NaN on hardware."""
     now: Floats
     """(n,): Time on the link's clock [s]."""
     scenes: Any

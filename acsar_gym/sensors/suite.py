@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -36,8 +36,12 @@ from acsar_gym.worlds import Scene
 BUILT_IN: dict[str, type[Sensor]] = {MAP: MapSensor, MOVERS: MoversSensor, LIDAR: LidarSensor}
 """Sensors that are chosen by their names, in the order of their numbers in the observation. Those
 of users follow."""
-UNKNOWN = GroundTruth(pose=(math.nan,) * 3, twist=(math.nan,) * 2)
-"""The truth on hardware."""
+UNKNOWN = GroundTruth(
+    pose=(math.nan,) * 3,
+    twist=(math.nan,) * 2,
+    contact=math.nan,  # type: ignore[arg-type]
+)
+"""The truth on hardware. A contact that is False would be taken for known."""
 
 
 class Sensors(Sequence[Sensor]):
@@ -73,7 +77,7 @@ class Sensors(Sequence[Sensor]):
         self._scene = Scene()
         self._rng = np.random.default_rng(0)
         self._memories = [new_memory(sensor, 1) for sensor in self._sensors]
-        self._newest: SensorInput
+        self._newest: SensorInput | None = None
 
     def __getitem__(self, index: Any) -> Any:
         return self._sensors[index]
@@ -99,10 +103,10 @@ class Sensors(Sequence[Sensor]):
             memory=None,
         )
 
-    def _inputs(self) -> Iterator[tuple[Sensor, SensorInput]]:
+    def _inputs(self, newest: SensorInput) -> Iterator[tuple[Sensor, SensorInput]]:
         """Each sensor, and what it may know, with its memory."""
         for sensor, memory in zip(self._sensors, self._memories, strict=True):
-            robot = self._newest
+            robot = newest
             if sensor.memory:
                 robot = robot._replace(memory=name_memory(sensor, memory))
             yield sensor, robot
@@ -118,7 +122,7 @@ class Sensors(Sequence[Sensor]):
         self._rng = rng
         self._memories = [new_memory(sensor, 1) for sensor in self._sensors]
         self._newest = self._look()
-        for sensor, robot in self._inputs():
+        for sensor, robot in self._inputs(self._newest):
             with naming_sensor(sensor):
                 sensor.reset(robot)
 
@@ -152,7 +156,7 @@ class Sensors(Sequence[Sensor]):
         self._newest = self._look()
         readings = []
         # NaN shows which numbers a sensor didn't fill in.
-        for sensor, robot in self._inputs():
+        for sensor, robot in self._inputs(self._newest):
             reading = np.full((1, sensor.size), np.nan)
             with naming_sensor(sensor):
                 sensor.read(robot, reading)
@@ -166,7 +170,7 @@ class Sensors(Sequence[Sensor]):
         return numbers
 
     def info(self, info: dict[str, float]) -> None:
-        """Add what the sensors report to an env's info, as of the newest `read`.
+        """Add what the sensors report now to an env's info.
 
         Args:
             info: Gets their keys and values.
@@ -174,14 +178,13 @@ class Sensors(Sequence[Sensor]):
         Raises:
             ConfigError: It has one of the keys already.
         """
-        for sensor, robot in self._inputs():
+        # The robot may have driven since its sensors were read. A look takes 10 us.
+        if self._newest is None or self._newest.now[0] != self._link.now():
+            self._newest = self._look()
+        for sensor, robot in self._inputs(self._newest):
             with naming_sensor(sensor):
                 for key, values in sensor.info(robot).items():
-                    if key in info:
-                        raise ConfigError(
-                            f"sensor {sensor.name!r}: info has {key!r} already: name it "
-                            f"{sensor.name}_{key}"
-                        )
+                    check_new_key(info, sensor, key)
                     info[key] = float(values[0])
 
     def close(self) -> None:
@@ -200,6 +203,14 @@ class Sensors(Sequence[Sensor]):
 def naming_sensor(sensor: Sensor) -> contextlib.AbstractContextManager[None]:
     """Turn errors that the sensor raises inside a block into an AcsarError with its name."""
     return TranslatedErrors(AcsarError, lambda: f"sensor {sensor.name!r}")
+
+
+def check_new_key(info: Mapping[str, Any], sensor: Sensor, key: str) -> None:
+    """Raise ConfigError if info has a sensor's key already."""
+    if key in info:
+        raise ConfigError(
+            f"sensor {sensor.name!r}: info has {key!r} already: name it {sensor.name}_{key}"
+        )
 
 
 def is_polled(sensor: Sensor) -> bool:
@@ -248,6 +259,8 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
             f"sensors: {show_value(factory)} must be a subclass of Sensor or a factory, whose name "
             f"is a word of letters, digits and _, not {show_value(name)}"
         )
+    if type(sensor).read is Sensor.read:
+        raise ConfigError(f"sensor {name!r}: needs a method read(robots, out)")
     # Other code finds built-in sensors by their names.
     if not isinstance(sensor, BUILT_IN.get(name, Sensor)):
         raise ConfigError(f"sensor {name!r}: that name is taken: rename yours")
@@ -258,6 +271,14 @@ def make_sensor(factory: Any, link: Link, config: RobotConfig) -> Sensor:
             raise ConfigError(
                 f"sensor {name!r}: must have a size from 1, and low <= high, numbers or (size,)"
             )
+
+    memory = sensor.memory
+    if not isinstance(memory, Mapping) or not all(
+        str(key).isidentifier() and isinstance(value, int | float) for key, value in memory.items()
+    ):
+        raise ConfigError(
+            f"sensor {name!r}: memory = {show_value(memory)}: must be like {{'bias': 0.0}}"
+        )
     return sensor
 
 
@@ -274,7 +295,7 @@ def check_finite(sensor: Sensor, numbers: Floats, robots: Sequence[int] = ()) ->
     whose = f" for robot {robots[row]}" if len(robots) else ""
     raise AcsarError(
         f"sensor {sensor.name!r}: read() left {show_value(numbers[row].tolist())}{whose}: must "
-        "fill out with finite numbers. A real robot's pose and twist are NaN"
+        "fill out with finite numbers. A real robot's pose, twist and contact are NaN"
     )
 
 

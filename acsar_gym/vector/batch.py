@@ -268,4 +268,5 @@ class Batch:
         for name, places in self._drawn.items():  # (robots,), or (robots, 4) in wheel order
             numbers = self._draws.drawn[:, places]
             info[name] = numbers[:, 0] if len(places) == 1 else numbers
-        return info | self._own_sensors.info
+        self._own_sensors.add_info(info)
+        return info

@@ -19,6 +19,7 @@ from acsar_gym.sensors.sensor import SENSOR_METHODS, name_memory, new_memory
 from acsar_gym.sensors.suite import (
     BUILT_IN,
     check_finite,
+    check_new_key,
     is_polled,
     make_sensors,
     naming_sensor,
@@ -97,6 +98,7 @@ class BatchSensors:
         robots, columns = tables.observations.shape
         self._first = columns - sum(sensor.size for sensor in sensors)
         self.info: dict[str, Floats] = {}
+        self._sources: dict[str, Sensor] = {}
         self._readers = [SensorReader(sensor, tables) for sensor in sensors]
         self._tables = tables
         self._worlds = worlds
@@ -140,17 +142,26 @@ class BatchSensors:
                 reader.reset(view, robots)
             numbers = [reader.read(view, robots) for reader in self._readers]
             self._tables.observations[robots, self._first :] = np.hstack(numbers)
+            self._sources = {}
             for reader in self._readers:
-                self._store_info(reader.info(view, robots), robots)
+                self._store_info(reader.sensor, reader.info(view, robots), robots)
         finally:
             rngs.give_back()
 
-    def _store_info(self, info: Mapping[str, Any], robots: Places) -> None:
+    def _store_info(self, sensor: Sensor, info: Mapping[str, Any], robots: Places) -> None:
         """Store a sensor's info in new arrays, because users may have kept the last ones."""
         for key, values in info.items():
+            check_new_key(self._sources, sensor, key)
+            self._sources[key] = sensor
             array = self.info.get(key, np.zeros(len(self._scenes))).copy()
             array[robots] = values
             self.info[key] = array
+
+    def add_info(self, info: dict[str, Floats]) -> None:
+        """Add the sensors' info to the batch's. ConfigError if it has one of the keys already."""
+        for key, sensor in self._sources.items():
+            check_new_key(info, sensor, key)
+        info |= self.info
 
     def _describe(self, robots: Places, rngs: LentGenerators) -> SensorInput:
         """What sensors may know of these robots."""
@@ -182,7 +193,7 @@ class SensorReader:
     """Calls the methods of a sensor, compiled or not, with the memory of the robots."""
 
     def __init__(self, sensor: Sensor, tables: layout.Tables) -> None:
-        self._sensor = sensor
+        self.sensor = sensor
         self._random = tables.random
         self._memory = new_memory(sensor, len(tables.random))
         self._first = new_memory(sensor, 1)
@@ -203,22 +214,22 @@ class SensorReader:
     def read(self, robots: SensorInput, places: Places) -> Floats:
         """Read robots, (n, size)."""
         # A number that a sensor doesn't write stays NaN, which the check refuses.
-        out = np.full((len(places), self._sensor.size), np.nan)
+        out = np.full((len(places), self.sensor.size), np.nan)
         self._call("read", robots, places, out)
-        check_finite(self._sensor, out, places.tolist())
+        check_finite(self.sensor, out, places.tolist())
         return out
 
     def info(self, robots: SensorInput, places: Places) -> Mapping[str, Any]:
         """The sensor's info, each (n,)."""
-        memory = name_memory(self._sensor, self._memory[:, places])
-        with naming_sensor(self._sensor):
-            return self._sensor.info(robots._replace(memory=memory))
+        memory = name_memory(self.sensor, self._memory[:, places])
+        with naming_sensor(self.sensor):
+            return self.sensor.info(robots._replace(memory=memory))
 
     def _call(self, name: str, robots: SensorInput, places: Places, *out: Floats) -> None:
         """Call a method, and keep what it does to the memory and the generators."""
         # Indexing copies: what the method changes is written back at the end.
         rows = self._memory[:, places]
-        robots = robots._replace(memory=name_memory(self._sensor, rows))
+        robots = robots._replace(memory=name_memory(self.sensor, rows))
         method = self._methods[name]
 
         if self._is_compiled:
@@ -228,10 +239,10 @@ class SensorReader:
             try:
                 method(robots._replace(scenes=None, rngs=random), *out)
             except Exception as error:
-                raise name_error(f"sensor {self._sensor.name!r}", error) from error
+                raise name_error(f"sensor {self.sensor.name!r}", error) from error
             self._random[places] = random
         else:
-            with naming_sensor(self._sensor):
+            with naming_sensor(self.sensor):
                 method(robots, *out)
         self._memory[:, places] = rows
 

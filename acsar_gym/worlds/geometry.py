@@ -399,7 +399,7 @@ def measure_ranges(
             None for rays that don't meet them.
 
     Returns:
-        (rays,) [m], or infinity for rays that meet nothing.
+        (rays,) [m]. Infinity for rays that meet nothing, and NaN if place or direction are unknown.
     """
     world = world or World()
     start = np.stack(np.broadcast_arrays(*place, bearings), axis=1)[:, None, :2]
@@ -426,6 +426,10 @@ def measure_ranges(
 
     lengths = np.hstack([to_discs, to_walls])
     ranges: Floats = np.min(np.where(lengths >= 0.0, lengths, np.inf), axis=1, initial=np.inf)
+
+    # Comparisons with NaN are false, so rays from an unknown place would meet nothing.
+    is_unknown = np.isnan(np.hstack([start, ray])).any(axis=(1, 2))
+    ranges[is_unknown] = np.nan
     return ranges
 
 

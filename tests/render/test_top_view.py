@@ -28,6 +28,7 @@ from acsar_gym.render.top_view import (
     TopViewFrame,
     place_points,
     save_picture,
+    thin_path,
 )
 from acsar_gym.worlds import Region, World
 from acsar_gym.worlds.movers import walk
@@ -116,6 +117,15 @@ def test_rays_light_the_floor_and_end_in_dots(config: RobotConfig, top: TopView)
     assert seen_at(0.6, 2.0) != RAY_COLOUR, "it met nothing"
     assert seen_at(0.0, 1.0) == SEEN_COLOURS[0]
     assert seen_at(0.0, 1.7) == seen_at(math.pi, 0.5) == FLOOR_COLOUR
+
+
+def test_thin_path_keeps_the_end_of_a_long_drive() -> None:
+    path = [(float(x), 0.0) for x in range(100_000)]
+    thinned = thin_path(path)
+    assert len(thinned) < 1002
+    assert thinned[[0, -1], 0].tolist() == [0.0, 99_999.0]
+    assert thin_path(path[:3]).tolist() == [[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]
+    assert thin_path([]).shape == (0, 2)
 
 
 def test_movers_are_discs_with_a_line_ahead(top: TopView) -> None:

@@ -12,8 +12,10 @@ from gymnasium.vector import AutoresetMode
 from range_finder import ThreeRays
 
 from acsar_gym.envs import ids
+from acsar_gym.envs.robot_env import RobotEnv
 from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.sensors import Sensor, draw_normal, draw_uniform
+from acsar_gym.tasks import PointGoal
 
 ENV_ID = "acsar_gym/ObstacleGoal-v1"
 
@@ -135,6 +137,27 @@ def test_draws_of_a_sensor_are_those_of_its_generator() -> None:
     assert draw_uniform(rngs, 1) == uniform[0]
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform[1]))
     assert draw_normal(rngs, 1) == radius * math.cos(2.0 * math.pi * uniform[2])
+
+
+class Shouting(Drifted):
+    """Has the key of another sensor."""
+
+    name = "shouting"
+
+
+class Colliding(Drifted):
+    """Has a key of the env."""
+
+    def info(self, robots: Any) -> dict[str, Any]:
+        return {"true_x": robots.now}
+
+
+@pytest.mark.parametrize("sensors", [(Drifted, Shouting), (Colliding,)])
+def test_info_of_a_sensor_has_its_own_keys(sensors: tuple[Any, ...]) -> None:
+    for env in (make_batch(*sensors), RobotEnv(PointGoal, "planar", sensors=sensors)):
+        with pytest.raises(ConfigError, match=r"info has '(readings|true_x)' already"):
+            env.reset(seed=0)
+        env.close()
 
 
 class Misnames(Gyro):

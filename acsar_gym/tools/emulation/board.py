@@ -161,7 +161,8 @@ class Emulator:
             since = self._link.now() - self._crowd.now - ages
             velocities = self._crowd.states[:, VX : VY + 1]
             movers = self._crowd.states[:, X : Y + 1] + since[:, None, None] * velocities
-        return measure_ranges((from_x, from_y), bearings + headings, self._scene.world, movers)
+        directions = bearings + headings + (self._config.lidar_yaw or 0.0)
+        return measure_ranges((from_x, from_y), directions, self._scene.world, movers)
 
     def run(self, duration: float | None = None, until: Callable[[], bool] = lambda: False) -> None:
         """Run the emulator with absolute deadlines. After a long delay they restart from now.

@@ -31,7 +31,7 @@ def open_raw(device: str | None) -> int:
 
 def test_lidar_measures_from_where_the_robot_was() -> None:
     """Its pose is between the poses of the loops, which are centimetres off."""
-    config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05)
+    config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05, lidar_yaw=0.7)
     with Emulator(config, scene=Scene(world=ROOM), sees=True) as emulator:
         board = open_raw(emulator.device)
         lidar = open_raw(emulator.lidar_device)
@@ -59,7 +59,7 @@ def test_lidar_measures_from_where_the_robot_was() -> None:
     def errors(when: np.ndarray) -> np.ndarray:
         heading = np.interp(when, ends, theta)
         place = np.interp(when, ends, x + 1j * y) + (0.1 - 0.05j) * np.exp(1j * heading)
-        exact = measure_ranges((place.real, place.imag), bearings + heading, ROOM)
+        exact = measure_ranges((place.real, place.imag), bearings + heading + 0.7, ROOM)
         return np.abs(measured - exact)
 
     assert errors(times).max() < 0.003
