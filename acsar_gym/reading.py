@@ -105,13 +105,23 @@ def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigEr
     """Write a file as `replace_file` does.
 
     Raises:
-        AcsarError: The file can't be written. Its class is `error`.
+        AcsarError: The file can't be written, or is a pipe that no process reads. Its class is
+            `error`.
     """
     try:
-        with replace_file(path) as new:
-            new.write_bytes(data)
+        with replace_file(path) as new, open(new, "wb", opener=_open_nonblocking) as file:
+            file.write(data)
     except (OSError, ValueError) as problem:
         raise error(f"{path}: can't be written: {explain_error(problem)}") from problem
+
+
+def _open_nonblocking(path: str, flags: int) -> int:
+    """Open a file. A pipe that no process reads is an error instead of an endless wait."""
+    nonblocking = getattr(os, "O_NONBLOCK", 0)  # Windows has no such pipes
+    file = os.open(path, flags | nonblocking, 0o666)
+    if nonblocking:
+        os.set_blocking(file, True)
+    return file
 
 
 @contextlib.contextmanager

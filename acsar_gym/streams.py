@@ -12,6 +12,8 @@ CLOSED_PIPE_CODE = 128 + 13
 """Exit code of a program whose output isn't read to its end, as in a shell: that of SIGPIPE."""
 FULL_CODE = 2
 """Exit code if standard output can't be written for another reason."""
+FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""These reasons: a full disk, a quota, `ulimit -f`, a broken disk or a terminal that was closed."""
 
 
 def open_streams() -> None:
@@ -44,7 +46,7 @@ def run_guarded(command: Callable[[], int]) -> int:
     except OSError as error:
         if error.errno == errno.EPIPE:
             code = code or CLOSED_PIPE_CODE
-        elif error.errno == errno.ENOSPC:
+        elif error.errno in FULL_ERRORS:
             print_error(f"acsar-gym: the output can't be written: {error.strerror}")
             code = code or FULL_CODE
         else:

@@ -38,6 +38,18 @@ def test_read_file_refuses_what_is_not_a_regular_file(tmp_path: Path) -> None:
             reading.read_file(path, 100)
 
 
+def test_write_atomically_refuses_a_pipe_that_no_process_reads(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(ConfigError, match=f"^{pipe}: can't be written: "):
+        reading.write_atomically(pipe, b"data")
+
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    reading.write_atomically(pipe, b"data")
+    assert os.read(reader, 100) == b"data"
+    os.close(reader)
+
+
 def test_write_atomically_leaves_the_old_file_on_a_full_disk(tmp_path: Path) -> None:
     path = tmp_path / "robot.yaml"
     old = b"max_linear: 0.4\n"  # a robot's file is changed in place, so it must be valid

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import os
 import re
 import socket
@@ -23,7 +24,7 @@ import weakref
 from pathlib import Path
 from typing import NamedTuple
 
-from acsar_gym.errors import EmergencyStopError, LinkError, SafetyWarning
+from acsar_gym.errors import MORE_FILES_ADVICE, EmergencyStopError, LinkError, SafetyWarning
 from acsar_gym.streams import print_error
 
 FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
@@ -105,7 +106,9 @@ def _bind_socket(name: str) -> socket.socket:
     except OSError as error:
         if bound is not None:
             bound.close()
-        raise LinkError(f"{path}: no socket: {error.strerror or error}", OTHER_FOLDER) from error
+        is_full = error.errno in (errno.EMFILE, errno.ENFILE)
+        advice = MORE_FILES_ADVICE if is_full else OTHER_FOLDER
+        raise LinkError(f"{path}: no socket: {error.strerror or error}", advice) from error
     return bound
 
 
@@ -141,8 +144,16 @@ class _Process:
     def add(self, listener: StopListener) -> None:
         """Listen for a robot."""
         with self._lock:
+            # No loop reads the requests of a robot that is dropped and not closed. The newest
+            # reference is called back first, and when this one is, the set must be without it.
+            weakref.finalize(listener, self._note_drop)
             self._listeners.add(listener)
             self.listen()
+
+    def _note_drop(self) -> None:
+        with self._lock:
+            self.read_requests()  # a stop that has arrived holds the process nevertheless
+            self._close_if_unused()
 
     def remove(self, listener: StopListener) -> None:
         """Close the socket with the last robot, unless a release must reach this process."""
@@ -180,14 +191,19 @@ class _Process:
 
             if self._waiting and not any(listener.is_pending for listener in self._listeners):
                 is_connected = any(listener.is_connected for listener in self._listeners)
-                for address in self._waiting:
-                    self._answer(STOPPED if is_connected else HELD, address)
-                self._waiting.clear()
+                answer = STOPPED if is_connected else HELD
+                self._waiting = [to for to in self._waiting if not self._answer(answer, to)]
 
-    def _answer(self, answer: bytes, address: str) -> None:
-        with contextlib.suppress(OSError, TypeError):  # the sender has ended, or has no address
+    def _answer(self, answer: bytes, address: str) -> bool:
+        """Send an answer. Returns False if the queue of the sender is full, of many answers."""
+        try:
             if self.socket is not None:
                 self.socket.sendto(answer, address)
+        except BlockingIOError:
+            return False
+        except (OSError, TypeError):  # the sender has ended, or has no address
+            pass
+        return True
 
     def hold(self) -> None:
         """Stop all robots of this process. Nothing drives until a person releases the stop."""

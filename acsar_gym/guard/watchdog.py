@@ -22,6 +22,7 @@ POSIX only: Windows processes can't share an open port in this way (see `WATCHDO
 from __future__ import annotations
 
 import contextlib
+import errno
 import math
 import mmap
 import os
@@ -33,7 +34,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from acsar_gym.errors import BUSY_HINT, LinkError
+from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, LinkError
 
 WATCHDOG_AVAILABLE = os.name == "posix"  # whether watchdogs work on this operating system
 CHILD_TIMEOUT = 5.0  # longest wait for its start and its end [s], usually 20 ms and 1 ms
@@ -139,7 +140,7 @@ class Watchdog:
                 self._resources = kept.pop_all()
                 self.is_started = True
         except (OSError, subprocess.SubprocessError) as error:
-            raise _start_error(str(error)) from error
+            raise _start_error(str(error), getattr(error, "errno", None)) from error
 
     def wait_ready(self, timeout: float = CHILD_TIMEOUT) -> None:
         """Wait until it watches, at most for the time-out [s]. LinkError if that fails."""
@@ -260,7 +261,9 @@ class Watchdog:
             self._process.wait(CHILD_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait()
+            # A driver may hold even a killed process: closing the link must not wait for it.
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(CHILD_TIMEOUT)
 
     def abandon(self) -> None:
         """Release the parent's watchdog in a forked child."""
@@ -280,9 +283,11 @@ def _open_shared_page() -> IO[bytes]:
     return tempfile.TemporaryFile()
 
 
-def _start_error(reason: str) -> LinkError:
-    return LinkError(
-        f"the watchdog can't be started ({reason})",
+def _start_error(reason: str, code: int | None = None) -> LinkError:
+    advice = (
         f"check that {sys.executable} can run {CHILD_PROGRAM}; watchdog_timeout=None drives "
-        "without one",
+        "without one"
     )
+    if code in (errno.EMFILE, errno.ENFILE):
+        advice = MORE_FILES_ADVICE
+    return LinkError(f"the watchdog can't be started ({reason})", advice)

@@ -93,7 +93,7 @@ class GuardedLink(Link):
         raise NotImplementedError
 
     def _drain(self) -> bool:
-        """Wait a moment until what was sent has left. Returns whether it has."""
+        """Wait a moment until what was sent has left. Returns whether it has. Raises nothing."""
         raise NotImplementedError
 
     def _disconnect(self, *, lost: bool) -> None:
@@ -222,12 +222,14 @@ class GuardedLink(Link):
                 self._finish(lost=not sent)
 
     def _finish(self, *, lost: bool) -> None:
-        try:
-            self._send_stop()  # again, as a line may be lost
-            self.watchdog.close()  # before the device, as they share its lock
-        finally:
-            forget_link(self)
-            self._disconnect(lost=lost)
+        with contextlib.ExitStack() as last_to_first:  # each step also if another one fails
+            last_to_first.callback(self._disconnect, lost=lost)
+            last_to_first.callback(forget_link, self)
+            last_to_first.callback(self.watchdog.close)  # before the device, for its lock
+
+            # Again, as a line may be lost. Bytes that can't leave would delay the closing.
+            if self._send_stop():
+                self._drain()
 
     @contextlib.contextmanager
     def _exclusively(self) -> Iterator[None]:

@@ -461,8 +461,11 @@ class Ros2Link(GuardedLink):
         return self._publisher is not None
 
     def _drain(self) -> bool:
-        duration = self._require_node().make_duration(DRAIN_TIMEOUT)
-        return bool(self._publisher.wait_for_all_acked(duration))
+        try:
+            duration = self._require_node().make_duration(DRAIN_TIMEOUT)
+            return bool(self._publisher.wait_for_all_acked(duration))
+        except Exception:  # noqa: BLE001 - as in `_send_stop`
+            return False
 
     def _publish(self, speeds: Speeds) -> None:
         """Publish wheel speeds [rad/s] as the robot's type of command."""

@@ -88,11 +88,12 @@ class SerialLink(GuardedLink):
         self.port.write(data)
 
     def _send_stop(self) -> bool:
-        LOG.debug("%.4f sent %r", self.now(), self._stop_lines)
-        return self._port is not None and self._port.try_write(self._stop_lines)
+        is_sent = self._port is not None and self._port.try_write(self._stop_lines)
+        LOG.debug("%.4f sent %r", self.now(), self._stop_lines)  # last, as a handler may fail
+        return is_sent
 
     def _drain(self) -> bool:
-        return self.port.drain()
+        return self._port is not None and self._port.drain()
 
     def _disconnect(self, *, lost: bool) -> None:
         port = self.port

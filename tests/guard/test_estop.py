@@ -91,6 +91,26 @@ def test_socket_is_shared_and_only_its_owner_can_use_it(folder: Path) -> None:
         assert not list(folder.iterdir())
 
 
+def test_socket_is_closed_if_the_robot_is_dropped(folder: Path) -> None:
+    """No loop reads it any more, and `acsar-gym estop` would wait for an answer."""
+    listener = StopListener()
+    assert len(list(folder.iterdir())) == 1
+    del listener
+    assert not list(folder.iterdir())
+    assert estop.stop_all() == []
+
+
+def test_stop_that_was_not_read_holds_after_the_robot_was_dropped(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.05)
+    listener = StopListener()
+    estop.stop_all()
+    del listener
+    assert estop.is_held()
+    assert len(list(folder.iterdir())) == 1, "the release must reach the process"
+
+
 def test_socket_of_a_dead_process_is_removed() -> None:
     path = estop.make_folder() / "99999999-a1"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as dead:
@@ -118,6 +138,28 @@ def test_estop_stops_all_processes() -> None:
         assert first_line(first) == first_line(second) == "listens"
         processes = sorted([first.pid, second.pid])
         assert estop.stop_all() == [Answer(process, b"stopped") for process in processes]
+
+
+def test_estop_answer_waits_for_space_in_a_full_queue(folder: Path) -> None:
+    """It has space for ten answers, and more robots may answer at once."""
+    listener = StopListener()
+    (path,) = folder.iterdir()
+    with contextlib.closing(estop._bind_socket("estop")) as asker:
+        asker.sendto(estop.STOP, str(path))
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    other.sendto(b"of another robot", asker.getsockname())
+        listener.is_requested()
+        answers = set()
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                answers.add(asker.recv(estop.MAX_REQUEST_BYTES))
+        assert answers == {b"of another robot"}
+        listener.is_requested()
+        assert asker.recv(estop.MAX_REQUEST_BYTES) == estop.HELD
+    listener.close()
 
 
 def test_estop_reports_a_process_that_does_not_read_the_request(

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import select
+import socket
+import subprocess
 import tty
 from collections.abc import Callable, Iterator
 
@@ -191,3 +194,28 @@ def test_watchdog_commands_zero_after_the_program_died(
         process.kill()
         assert read_until_quiet(wire[0]) == ZEROS * DEATH_ZEROS
         wait_until(lambda: not psutil.pid_exists(pid), "its end")
+
+
+def test_close_does_not_wait_for_a_process_that_a_driver_holds(
+    dog: Watchdog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hold(timeout: float | None = None) -> int:
+        assert timeout is not None, "waits for ever"
+        raise subprocess.TimeoutExpired("watchdog", timeout)
+
+    process = dog._process
+    with monkeypatch.context() as patch:
+        patch.setattr(process, "wait", hold)
+        dog.close()
+    process.wait()
+
+
+def test_start_with_too_many_open_files_does_not_advise_to_drive_without(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse() -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(socket, "socketpair", refuse)
+    with pytest.raises(LinkError, match=r"Too many open files.*: close some, or allow more"):
+        Watchdog(ZEROS, HASTY).start(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from types import SimpleNamespace
 
 import pytest
 
@@ -35,6 +36,28 @@ def test_ros2_deadlines_come_to_lie_behind_the_feedback(begin: float) -> None:
         link._deadline += PERIOD
     phase = (link._deadline - 300 * PERIOD) % PERIOD
     assert phase == pytest.approx(SLACK, abs=1e-4)
+
+
+def test_ros2_zeros_that_are_not_confirmed_raise_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Other robots of the program are stopped after this one, as by a signal."""
+    commands: list[list[float]] = []
+
+    def refuse(_: object) -> bool:
+        raise RuntimeError("the context has ended")
+
+    link = Ros2Link("ros2", RobotConfig())
+    link.command_kind = "wheel_speeds"
+    node = SimpleNamespace(make_duration=float, close=lambda: None)
+    monkeypatch.setattr(link, "node", node)
+    monkeypatch.setattr(link, "_command", SimpleNamespace(data=[]), raising=False)
+    publisher = SimpleNamespace(
+        publish=lambda command: commands.append(command.data), wait_for_all_acked=refuse
+    )
+    monkeypatch.setattr(link, "_publisher", publisher)
+    with link.held():
+        assert commands == [[0.0] * 4]
+    link.close()
+    assert not link.is_open
 
 
 class StampedLink(Link):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import logging
 import os
 import signal
 import sys
@@ -214,3 +215,70 @@ def test_watchdog_behind_a_socket(emulator: Emulated) -> None:
             wait_until(emulator.is_driven, "a command that turns the wheels")
             process.kill()
             wait_until(emulator.is_stopped, "zero as the last command")
+
+
+class StuckPort:
+    """A port that takes bytes and sends none."""
+
+    path = ""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.error: BaseException | None = None
+
+    def try_write(self, data: bytes) -> bool:
+        self.calls.append("write")
+        if self.error is not None:
+            raise self.error
+        return True
+
+    def drain(self) -> bool:
+        self.calls.append("drain")
+        return False
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+@pytest.fixture
+def stuck_port() -> StuckPort:
+    return StuckPort()
+
+
+@pytest.fixture
+def stuck_link(
+    stuck_port: StuckPort, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
+) -> SerialLink:
+    link = SerialLink("/dev/stuck", config)
+    monkeypatch.setattr(link, "_port", stuck_port)
+    monkeypatch.setattr(link.watchdog, "close", lambda: stuck_port.calls.append("end watchdog"))
+    return link
+
+
+def test_close_leaves_nothing_in_a_port_that_sends_nothing(
+    stuck_link: SerialLink, stuck_port: StuckPort
+) -> None:
+    """The kernel would wait for it when the port is closed, by default 30 s."""
+    stuck_link.close()
+    assert stuck_port.calls == ["write", "drain", "write", "drain", "end watchdog", "close"]
+
+
+def test_close_that_is_interrupted_again_and_again_ends_the_watchdog(
+    stuck_link: SerialLink, stuck_port: StuckPort
+) -> None:
+    stuck_port.error = KeyboardInterrupt()
+    with pytest.raises(KeyboardInterrupt):
+        stuck_link.close()
+    assert stuck_port.calls == ["write", "write", "end watchdog", "close"]
+
+
+def test_zeros_are_sent_before_a_log_that_fails(
+    stuck_link: SerialLink, stuck_port: StuckPort, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(record: logging.LogRecord) -> bool:
+        raise RuntimeError("no log")
+
+    caplog.set_level(logging.DEBUG, "acsar_gym.wire")
+    with caplog.filtering(fail), pytest.raises(RuntimeError, match="no log"):
+        stuck_link.close()
+    assert stuck_port.calls[0] == "write"

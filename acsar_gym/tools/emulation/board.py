@@ -16,13 +16,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import ConfigError, LinkError
+from acsar_gym.errors import ConfigError, LinkError, explain_error
 from acsar_gym.links import open_link
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.protocol import encode
@@ -69,8 +69,7 @@ class Emulator:
         lidar_device: Path of the LiDAR. None without a LiDAR.
 
     Raises:
-        ConfigError: The body is unknown, or `name` can't be created.
-        OSError: `log` can't be written.
+        ConfigError: The body is unknown, `name` can't be created, or `log` can't be written.
     """
 
     def __init__(
@@ -111,9 +110,7 @@ class Emulator:
                 self._lidar = LidarEmulator(twin)
                 opened.callback(self._lidar.close)
             self.lidar_device = self._lidar.device if self._lidar else None
-            self._log = None
-            if log is not None:
-                self._log = opened.enter_context(log.open("w", buffering=1, encoding="ascii"))
+            self._log = opened.enter_context(_open_log(log)) if log is not None else None
             self._cable = EmulatedCable(config.baud_rate, name)
             opened.callback(self._cable.pull)
             self._opened = opened.pop_all()
@@ -161,7 +158,7 @@ class Emulator:
             since = self._link.now() - self._crowd.now - ages
             velocities = self._crowd.states[:, VX : VY + 1]
             movers = self._crowd.states[:, X : Y + 1] + since[:, None, None] * velocities
-        directions = bearings + headings + (self._config.lidar_yaw or 0.0)
+        directions = bearings + (self._config.lidar_yaw or 0.0) + headings
         return measure_ranges((from_x, from_y), directions, self._scene.world, movers)
 
     def run(self, duration: float | None = None, until: Callable[[], bool] = lambda: False) -> None:
@@ -170,7 +167,12 @@ class Emulator:
         Args:
             duration: Time to run [s]. None for no limit.
             until: Called in every loop. Ends the run by returning True.
+
+        Raises:
+            ConfigError: The duration is negative or not finite.
         """
+        if duration is not None and not 0.0 <= duration < math.inf:
+            raise ConfigError(f"duration = {duration}: must be a finite number of seconds")
         start = time.monotonic()
         deadline = start
 
@@ -220,8 +222,14 @@ class Emulator:
             self._cable.write(self._cable.over_uart(answer))
 
     def _log_event(self, **event: object) -> None:
-        if self._log is not None:
+        if self._log is None:
+            return
+        try:
             self._log.write(json.dumps({"t": time.monotonic(), **event}) + "\n")
+        except OSError as error:  # such as a full disk
+            with contextlib.suppress(OSError):  # it would write the line again
+                self._log.close()
+            raise _log_error(self._log.name, error) from error
 
     def close(self) -> None:
         """Unplug the cable and close terminals and log. Idempotent."""
@@ -232,6 +240,17 @@ class Emulator:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _open_log(path: Path) -> TextIO:
+    try:
+        return path.open("w", buffering=1, encoding="ascii")
+    except OSError as error:
+        raise _log_error(str(path), error) from error
+
+
+def _log_error(name: str, error: OSError) -> ConfigError:
+    return ConfigError(f"{name}: can't be written: {explain_error(error)}")
 
 
 EMULATOR_PROGRAM = """

@@ -20,6 +20,7 @@ from acsar_gym.testing import wait_until
 pytestmark = [pytest.mark.usefixtures("deadline"), pytest.mark.xdist_group(__name__)]
 
 FULL = "acsar-gym: the output can't be written: No space left on device\n"
+TOO_LARGE = "acsar-gym: the output can't be written: File too large\n"
 
 
 def run_in_shell(line: str, folder: Path) -> tuple[int, str]:
@@ -43,7 +44,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         ("acsar-gym run 1 0 --link planar >&-", 0, ""),
         ("acsar-gym record info tape.mcap | true", 141, ""),
+        ("acsar-gym emulate --duration 0.2 | true", 141, ""),
         ("acsar-gym record info tape.mcap >/dev/full", 2, FULL),
+        ("ulimit -f 0; acsar-gym record info tape.mcap >limited.txt", 2, TOO_LARGE),
         ("acsar-gym worlds check missing.yaml 2>/dev/full", 2, ""),
     ],
 )

@@ -94,6 +94,8 @@ def test_emulator_leaves_nothing_open(config: RobotConfig, tmp_path: Path) -> No
     with no_leak():
         with Emulator(config, log=log) as emulator:
             emulator.run(duration=0.05)
+            with pytest.raises(ConfigError, match="must be a finite number of seconds"):
+                emulator.run(duration=float("nan"))
             emulator.close()
         with pytest.raises(ConfigError, match="balloon"):
             Emulator(config, body="balloon")

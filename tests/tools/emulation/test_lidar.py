@@ -18,6 +18,8 @@ from acsar_gym.worlds.movers import walk
 from acsar_gym.worlds.world import make_rectangle
 
 ROOM = World(segments=make_rectangle(-2.0, -1.0, 3.0, 2.0))
+YAW = 1.2
+"""Direction of the LiDAR's zero on the robot [rad]."""
 LOOPS = 200
 LOOP = 0.005
 """Period of the firmware's loop [s]."""
@@ -31,7 +33,7 @@ def open_raw(device: str | None) -> int:
 
 def test_lidar_measures_from_where_the_robot_was() -> None:
     """Its pose is between the poses of the loops, which are centimetres off."""
-    config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05, lidar_yaw=0.7)
+    config = RobotConfig().with_(lidar_x_offset=0.1, lidar_y_offset=-0.05, lidar_yaw=YAW)
     with Emulator(config, scene=Scene(world=ROOM), sees=True) as emulator:
         board = open_raw(emulator.device)
         lidar = open_raw(emulator.lidar_device)
@@ -48,7 +50,7 @@ def test_lidar_measures_from_where_the_robot_was() -> None:
 
     data = received[7:]  # without the answer to the request
     points = [library.parse_node(data[i : i + 5])[0] for i in range(0, len(data) - 4, 5)]
-    bearings = -np.radians([point.angle_deg for point in points])
+    bearings = YAW - np.radians([point.angle_deg for point in points])
     measured = np.array([point.dist_mm for point in points]) / 1000.0
     times = np.arange(1, len(points) + 1) / (LIDAR_SAMPLES * config.lidar.rate)
     ends = np.arange(LOOPS + 1) * LOOP
@@ -59,7 +61,7 @@ def test_lidar_measures_from_where_the_robot_was() -> None:
     def errors(when: np.ndarray) -> np.ndarray:
         heading = np.interp(when, ends, theta)
         place = np.interp(when, ends, x + 1j * y) + (0.1 - 0.05j) * np.exp(1j * heading)
-        exact = measure_ranges((place.real, place.imag), bearings + heading + 0.7, ROOM)
+        exact = measure_ranges((place.real, place.imag), bearings + heading, ROOM)
         return np.abs(measured - exact)
 
     assert errors(times).max() < 0.003

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import CommandError, ConfigError, EmergencyStopError, explain_error
+from acsar_gym.errors import CommandError, ConfigError, EmergencyStopError
 from acsar_gym.tools.cli.commands import command
 from acsar_gym.tools.cli.options import (
     File,
@@ -71,13 +71,10 @@ def emulate_board(
         start = (place.start.x, place.start.y, place.start.theta or 0.0)
         scene = Scene(start, world=place, key=key)
 
-    try:
-        with Emulator(
-            config, body=body, log=log, silent=silent, scene=scene, sees=lidar, name=name
-        ) as emulator:
-            _serve(emulator, duration)
-    except OSError as error:  # such as a full disk
-        raise ConfigError(f"{log}: can't be written: {explain_error(error)}") from error
+    with Emulator(
+        config, body=body, log=log, silent=silent, scene=scene, sees=lidar, name=name
+    ) as emulator:
+        _serve(emulator, duration)
     return 0
 
 
