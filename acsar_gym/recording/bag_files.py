@@ -80,7 +80,10 @@ class BagFiles:
             for message in _read_sqlite(path) if is_database else _read_mcap(path, problems):
                 if message.data.startswith(ZSTD_MAGIC):  # packed by itself
                     size = FREE_UNPACKED + MAX_RATIO * len(message.data)
-                    unpacked = b"".join(unpack(io.BytesIO(message.data), size))
+                    try:
+                        unpacked = b"".join(unpack(io.BytesIO(message.data), size))
+                    except ConfigError as error:
+                        raise ConfigError(f"{source}: {message.topic} {error}") from error
                     message = message._replace(data=unpacked)  # noqa: PLW2901
                 yield message
             self.problems |= dict.fromkeys(f"{source}: {problem}" for problem in problems)
@@ -111,10 +114,13 @@ def _prepare(source: Path, folder: Path) -> Path:
 
     # What SQLite wrote last is in a second file, which only a writer can merge.
     if source.suffix == ".db3" and log.exists():
-        for path in (source, log):
-            shutil.copy(path, folder / path.name)
-        with closing(sqlite3.connect(folder / source.name)) as database:
-            database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        try:
+            for path in (source, log):
+                shutil.copy(path, folder / path.name)
+            with closing(sqlite3.connect(folder / source.name)) as database:
+                database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        except (OSError, sqlite3.Error) as error:
+            raise ConfigError(f"{source}: can't be read: {explain_error(error)}") from error
         return folder / source.name
     return source
 

@@ -28,6 +28,7 @@ from acsar_gym.errors import (
     LidarError,
     RecordingWarning,
     escape_unprintable,
+    explain_error,
     show_value,
 )
 from acsar_gym.lidar.laser_scan import LaserScan, Mount, read_scan
@@ -36,7 +37,7 @@ from acsar_gym.odometry import Odometry
 from acsar_gym.protocol import Speeds, encode
 from acsar_gym.reading import open_file
 from acsar_gym.recording.bag_files import PACKED, BagFiles, BagMessage
-from acsar_gym.recording.blocks import MAGIC, find_block
+from acsar_gym.recording.blocks import IDENTIFYING_BYTES, MAGIC, find_block
 from acsar_gym.recording.events import UNKNOWN_TRUTH, Began, Event
 from acsar_gym.recording.messages import load_typestore, make_header
 from acsar_gym.recording.writer import RecordingWriter, Tabulator
@@ -52,7 +53,6 @@ ROLES = {
 }
 """What is read of a bag: types, and the usual name of the topic."""
 SCAN_FIELDS = ("angle_min", "angle_increment", "range_min", "range_max")
-IDENTIFYING_BYTES = 5_000_000  # a recording of this package has its first block within these
 BATCH = 300  # events of a block
 MAX_TIME = 2**62  # times are smaller [ns]
 FASTEST_WHEEL = 99.99  # largest speed that a line can express, either sign [rad/s]
@@ -113,14 +113,19 @@ def import_bag(path: Path, robot: RobotConfig, target: Path, topics: Sequence[st
     # Topics are converted in the order of their messages, as a recorder gets events.
     writer = RecordingWriter(target, robot, header)
     tabulator = Tabulator([writer])
-    for message in files.read_messages():
-        if message.topic in roles and 0 <= message.time < MAX_TIME:
-            converter.take(roles[message.topic], message.time, deserialize(message))
-        if len(converter.events) >= BATCH:
-            tabulator.add(converter.events)
-            converter.events.clear()
-    tabulator.add([*converter.events, {"sent": converter.sent}], is_last=True)
-    writer.close(0)
+    try:
+        for message in files.read_messages():
+            if message.topic in roles and 0 <= message.time < MAX_TIME:
+                converter.take(roles[message.topic], message.time, deserialize(message))
+            if len(converter.events) >= BATCH:
+                tabulator.add(converter.events)
+                converter.events.clear()
+        tabulator.add([*converter.events, {"sent": converter.sent}], is_last=True)
+        writer.close(0)
+    except OSError as error:
+        raise ConfigError(f"{target}: can't be written: {explain_error(error)}") from error
+    finally:
+        writer.abandon()
 
     if not converter.periods:
         raise ConfigError(f"{path}: has no wheel speeds on {', '.join(roles)}")

@@ -38,6 +38,7 @@ MAX_RATIO = 100  # most unpacked bytes for each byte of the file (a robot at res
 FREE_UNPACKED = 2**26  # bytes that may be unpacked from a file of any size
 MAX_DAMAGES = 100  # most damaged places of a file that is read
 MAX_OFFSET = 2**62  # largest offset of an episode, either sign [ns] (its times then fit 64 bits)
+IDENTIFYING_BYTES = 5_000_000  # a recording of this package has its first block within these
 SEARCH_BYTES = 2**16  # bytes that are searched at once for the next block
 
 MARKER = b"".join(struct.pack("<I", len(text)) + text.encode() for text in (NAME, MEDIA_TYPE))

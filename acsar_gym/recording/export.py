@@ -10,7 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from acsar_gym.errors import ConfigError, RecordingWarning, explain_error, require_extra
+from acsar_gym.errors import (
+    ConfigError,
+    RecordingWarning,
+    explain_error,
+    require_extra,
+    show_value,
+)
 from acsar_gym.reading import replace_file
 from acsar_gym.recording.events import Table, split_columns
 from acsar_gym.recording.reader import read
@@ -18,6 +24,7 @@ from acsar_gym.recording.types import Episode, Recording, split_pieces
 
 TRUTH = ("true_x", "true_y", "true_theta")
 MOVER_STATE = ("x", "y", "x_rate", "y_rate", "radius")
+FORMATS = ("parquet", "csv")
 DIRECTIONS = ("sent", "received")
 TableColumns = dict[str, Any]
 """Arrays of one length by name."""
@@ -38,6 +45,8 @@ def export_recording(path: Path, to: str, folder: Path) -> list[Path]:
         ConfigError: The recording can't be read, or the folder can't be written.
         MissingExtraError: pyarrow isn't installed.
     """
+    if to not in FORMATS:
+        raise ConfigError(f"to = {show_value(to)}: must be one of {', '.join(FORMATS)}")
     recording = read(path)
     if recording.cut:
         loss = "the last episode is incomplete"

@@ -347,14 +347,17 @@ class Publisher:
         fields: dict[str, Any] = {}
 
         match topic:
-            case "/odom" | "/truth":
+            case "/odom":
                 pose, twist = make_covariances()
                 fields = {
-                    "header.frame_id": config.odom_frame if topic == "/odom" else WORLD_FRAME,
+                    "header.frame_id": config.odom_frame,
                     "child_frame_id": BASE_FOOTPRINT,
                     "pose.covariance": pose,
                     "twist.covariance": twist,
                 }
+            case "/truth":
+                # It is exact: its covariances are zero.
+                fields = {"header.frame_id": WORLD_FRAME, "child_frame_id": BASE_FOOTPRINT}
             case "/tf":
                 fields = {"transforms": [_make_transform(config.odom_frame, BASE_FOOTPRINT)]}
             case "/tf_static":

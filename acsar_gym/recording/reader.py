@@ -17,10 +17,12 @@ from acsar_gym.lidar.scan import MAX_STAMP
 from acsar_gym.reading import open_file
 from acsar_gym.recording.blocks import (
     FORMAT,
+    IDENTIFYING_BYTES,
     MAGIC,
     Block,
     Head,
     Header,
+    find_block,
     has_end,
     iterate_blocks,
     read_block,
@@ -75,7 +77,9 @@ class StoredTables(Tables):
     def split(self) -> Iterator[StoredTables]:
         """Yield the tables in parts, to read a long episode piece by piece."""
         for first in range(0, len(self._places), PART_BLOCKS):
-            yield StoredTables(self._path, self._places[first : first + PART_BLOCKS])
+            tables = StoredTables(self._path, self._places[first : first + PART_BLOCKS])
+            tables.head = self.head
+            yield tables
 
     def __missing__(self, name: str) -> Table:
         # A long recording doesn't fit into memory: only the table that is asked for is read.
@@ -83,7 +87,8 @@ class StoredTables(Tables):
         with open_file(self._path) as file:  # errors name the file
             for place in self._places:
                 block = read_block(file, place)
-                if block is None:
+                # The offset is the wall clock's, so no other recording has it.
+                if block is None or block.head.offset != self.head.offset:
                     raise ConfigError("has changed since it was read: read it again")
                 if name in block.head.tables:
                     parts.append(unpack_table(block, name))
@@ -150,6 +155,10 @@ def read_quietly(path: Path) -> Recording:
     dropped: int | None = None
     stored: dict[int, StoredTables] = {}
     with open_file(path) as file:
+        # A file of another kind may be huge, and isn't searched to its end.
+        is_mcap = file.read(len(MAGIC)) == MAGIC
+        if not is_mcap and find_block(file, 0, IDENTIFYING_BYTES) < 0:
+            raise ConfigError("isn't a recording: not an MCAP file")
         for block in iterate_blocks(file, damages):
             head = block.head
             header = header or head.header
@@ -168,9 +177,6 @@ def read_quietly(path: Path) -> Recording:
                 )
             if damages:
                 problem = f"is damaged: {damages[0]}"
-            file.seek(0)
-            if file.read(len(MAGIC)) != MAGIC:
-                problem = "isn't a recording: not an MCAP file"
             raise ConfigError(problem)
         if header.format != FORMAT:
             raise ConfigError(
@@ -245,7 +251,9 @@ def summary_lines(summary: dict[str, Any]) -> list[str]:
     if not (summary["whole"] and states):
         states.append("whole" if summary["whole"] else "cut: what followed is missing")
     lost = f"{summary['dropped'] or 'nothing'} dropped"
-    if summary["dropped"] is None:
+    if summary["dropped"] and not summary["whole"]:
+        lost = f"at least {lost}"
+    elif summary["dropped"] is None:
         lost = "drops unknown"  # the end, which has their number, is missing
     count = f"{len(episodes)} episode{'s' * (len(episodes) != 1)}"
     kind = "simulated" if robot["simulated"] else "real"

@@ -28,7 +28,7 @@ from acsar_gym.guard.shutdown import call_at_end
 from acsar_gym.links.base import Arrivals, Link, LinkWrapper
 from acsar_gym.recording.events import NO_ACTION, UNKNOWN_TRUTH, Began, Event, Rows
 from acsar_gym.recording.messages import make_header
-from acsar_gym.recording.writer import RecordingWriter, Sink, Tabulator, check_target
+from acsar_gym.recording.writer import RecordingWriter, Sink, Tabulator, check_target, next_number
 from acsar_gym.robot import DriveObserver, Robot, StepResult
 from acsar_gym.sensors.lidar import find_lidar
 from acsar_gym.wire import round_stamp
@@ -104,6 +104,7 @@ class Recorder(DriveObserver):
         self._scan_stamp = -math.inf
         self._revolution: Any = None
 
+        self._is_copy = False
         self._thread: threading.Thread | None = None
         self._open_sinks: list[Sink] = []
         self._wake = threading.Event()
@@ -191,7 +192,9 @@ class Recorder(DriveObserver):
 
     def after_error(self, robot: Robot, error: Exception) -> None:
         """Record what stopped the robot."""
-        self.add({"faults": [(robot.link.now(), str(error).encode())]})
+        # Names of files need not be UTF-8.
+        text = str(error).encode(errors="backslashreplace")
+        self.add({"faults": [(robot.link.now(), text)]})
 
     def check(self, source: Path | None = None) -> None:
         """Check, before a link opens, that the recording can begin or go on. Writes nothing.
@@ -224,9 +227,15 @@ class Recorder(DriveObserver):
 
         # The link has been opened: from here on a file of the same name is replaced.
         header = make_header(config, self.about)
+        # The file is opened last: it would stay locked after an error of another sink.
+        open_sinks = [make(config, header) for make in self._sinks]
         if self.path is not None:
-            self._open_sinks.append(RecordingWriter(self.path, config, header))
-        self._open_sinks += [make(config, header) for make in self._sinks]
+            # The copied recorder may still write its file.
+            if self._is_copy and self.path.exists():
+                self.path = next_number(self.path)
+            # It is written first: a viewer may take its time.
+            open_sinks.insert(0, RecordingWriter(self.path, config, header))
+        self._open_sinks = open_sinks
         self._thread = threading.Thread(
             target=self._write_blocks, name="acsar_gym recorder", daemon=True
         )
@@ -340,14 +349,20 @@ class Recorder(DriveObserver):
             warnings.warn(self.problem, RecordingWarning, stacklevel=3)
 
     def __reduce__(self) -> tuple[Callable[..., Recorder], tuple[Any, ...]]:
-        """Copies haven't begun yet."""
-        return Recorder, (self.path, self.about)
+        """Copies haven't begun yet. If there is a file, they write one with another number."""
+        return _copy_recorder, (self.path, self.about)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _copy_recorder(path: Path | None, about: Mapping[str, Any]) -> Recorder:
+    recorder = Recorder(path, about)
+    recorder._is_copy = True  # noqa: SLF001 - only copies are
+    return recorder
 
 
 _open_recorders: set[Recorder] = set()

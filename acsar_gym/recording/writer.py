@@ -117,7 +117,8 @@ class Tabulator:
         if "exchanges" in tables:
             numbers = tables["exchanges"]["number"]
             head["periods"] = (int(numbers[0]), int(numbers[-1]))
-        if "steps" in tables:
+        # The reset's observation is no step, and has no outcome.
+        if tables["steps"]["step"].any():
             head["outcome"] = tables["steps"][-1].tolist()[3:]
         newest = max(table["stamp"].max() for table in tables.values() if table.dtype.names)
         self._newest = max(self._newest, round(newest * 1e9) + head["offset"])
@@ -151,6 +152,21 @@ def check_target(path: Path, source: Path | None = None) -> None:
         raise ConfigError(f"{path}: {problem}")
 
 
+def next_number(path: Path) -> Path:
+    """Return the first name "drive.1.mcap", "drive.2.mcap" that no file has."""
+    names = (path.with_suffix(f".{number}{path.suffix}") for number in itertools.count(1))
+    return next(name for name in names if not name.exists())
+
+
+def open_nonblocking(path: str, flags: int) -> int:
+    """Open a file, for `open`. A pipe without a reader is an error: a robot can't wait for it."""
+    nonblocking = getattr(os, "O_NONBLOCK", 0)
+    descriptor = os.open(path, flags | nonblocking, 0o666)
+    if nonblocking:
+        os.set_blocking(descriptor, True)
+    return descriptor
+
+
 def open_exclusively(path: Path) -> IO[bytes]:
     """Open a file for one recorder only. An older recording is kept under a number.
 
@@ -159,7 +175,7 @@ def open_exclusively(path: Path) -> IO[bytes]:
     Raises:
         OSError: It can't be opened, or another recorder writes it.
     """
-    file = path.open("ab", buffering=0)
+    file = open(path, "ab", buffering=0, opener=open_nonblocking)  # noqa: SIM115 - stays open
     try:
         lock(file)
         if not os.fstat(file.fileno()).st_size:
@@ -169,8 +185,7 @@ def open_exclusively(path: Path) -> IO[bytes]:
         raise
 
     # The lock is on the older recording, so no other recorder writes it meanwhile.
-    names = (path.with_suffix(f".{number}{path.suffix}") for number in itertools.count(1))
-    path.rename(next(name for name in names if not name.exists()))
+    path.rename(next_number(path))
     file.close()
     return open_exclusively(path)
 

@@ -27,7 +27,9 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from acsar_gym import RobotConfig
 from acsar_gym.errors import ConfigError, RecordingWarning
 from acsar_gym.recording import Recording, messages, read
+from acsar_gym.recording.bag_files import ZSTD_MAGIC
 from acsar_gym.recording.bags import is_recording, open_recording
+from acsar_gym.recording.writer import RecordingWriter
 from acsar_gym.tools.sysid.twin_gap import measure_gap
 
 TOPICS = {"/joint_states": "/joint_states", "/cmd_vel_sent": "/cmd_vel", "/scan": "/scan"}
@@ -142,6 +144,9 @@ def test_open_recording_explains_what_a_bag_lacks(tape: Path, tmp_path: Path) ->
     ):
         with pytest.raises(ConfigError, match=text):
             read_bag(path)
+    broken.with_name("bad.db3-wal").touch()
+    with pytest.raises(ConfigError, match=r"bad.db3: can't be read: file is not a database"):
+        read_bag(broken)
     with pytest.raises(ConfigError, match="is a ROS 2 bag: name its robot with --robot"):
         open_recording(scans, None)
 
@@ -179,6 +184,15 @@ def with_zeros(stamp: float) -> tuple[list[float], list[float]]:
     """A joint_state_publisher, whose positions are zero, runs beside the robot's publisher."""
     is_zero = round(100.0 * stamp) % 5 == 2
     return ([0.0] * 4, []) if is_zero else ([2.0 * stamp] * 4, [2.0] * 4)
+
+
+def test_open_recording_explains_a_full_disk(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(RecordingWriter, "write", fail)
+    with pytest.raises(ConfigError, match=r"bag.mcap: can't be written: No space left on device"):
+        read_bag(file)
 
 
 @pytest.mark.parametrize(
@@ -239,6 +253,11 @@ def test_open_recording_unpacks_files_and_messages(
     packed.write_bytes(zstandard.compress(bytes(100_000_000)))
     with pytest.raises(ConfigError, match="unpacks to more than a bag holds"):
         read_bag(packed)
+
+    topic, kind, time, data = bag[0]
+    broken = write_mcap(tmp_path / "broken.mcap", [(topic, kind, time, ZSTD_MAGIC + data)])
+    with pytest.raises(ConfigError, match=r"broken.mcap: /\w+ can't be unpacked"):
+        read_bag(broken)
 
     folder = write_folder(tmp_path / "bag", bag, StoragePlugin.MCAP, CompressionMode.MESSAGE)
     metadata = folder / "metadata.yaml"

@@ -76,6 +76,8 @@ def test_iterate_tables_holds_what_episodes_hold(tape: Path) -> None:
 def test_export_recording_refuses_what_it_cannot_write(tape: Path) -> None:
     with pytest.raises(ConfigError, match="can't be written"):
         export_recording(tape, "csv", tape / "folder")
+    with pytest.raises(ConfigError, match=r"to = 'xlsx': must be one of parquet, csv"):
+        export_recording(tape, "xlsx", tape.with_suffix(""))
 
 
 def test_summarize_counts_what_a_recording_holds(tape: Path, tmp_path: Path) -> None:
@@ -88,6 +90,8 @@ def test_summarize_counts_what_a_recording_holds(tape: Path, tmp_path: Path) -> 
     lines = summary_lines(summary)
     assert "whole; 2 episodes" in lines[0]
     assert lines[0].endswith("nothing dropped")
+    cut_summary = summary | {"whole": False, "dropped": 3}
+    assert summary_lines(cut_summary)[0].endswith("at least 3 dropped")
     assert any(line.split() == ["steps", "82"] for line in lines)
 
     cut = tmp_path / "cut.mcap"

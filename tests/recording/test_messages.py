@@ -90,6 +90,7 @@ def test_messages_hold_what_the_robot_did(tape: Path, messages: Messages) -> Non
     assert episode.asked[0].tolist() == [0.3, 0.0]
     assert episode.sent[0].tolist() == [0.02, 0.0]
     truth = messages["/truth"][-1].pose.pose.position
+    assert not messages["/truth"][-1].pose.covariance.any()
     assert [truth.x, truth.y] == episode.truth[-1, :2].tolist()
 
     newest = messages["/odom"][-1]

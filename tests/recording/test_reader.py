@@ -218,9 +218,28 @@ def test_read_takes_a_table_when_it_is_needed(tmp_path: Path) -> None:
     (episode,) = read(path).episodes
     assert not episode.tables
     assert len(episode.poses) == 300
+    assert [len(part.poses) for part in read(path).episodes[0].split()] == [300]
     path.write_bytes(path.read_bytes()[:-50_000])
     with pytest.raises(ConfigError, match=r"tape\.mcap: has changed since it was read"):
         _ = episode.wire
+
+
+def test_read_takes_no_table_of_another_recording(tmp_path: Path) -> None:
+    """It may have a sound block at the same place."""
+    offsets = (10**18, 2 * 10**18)
+    files = [tmp_path / f"{offset}.mcap" for offset in offsets]
+    for file, offset in zip(files, offsets, strict=True):
+        write_blocks(file, make_block(make_exchanges(0.5), offset=offset))
+    (episode,) = read(files[0]).episodes
+    files[1].replace(files[0])
+    with pytest.raises(ConfigError, match=r"\.mcap: has changed since it was read"):
+        _ = episode.exchanges
+
+
+def test_read_searches_no_huge_file_of_another_kind(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**40)
+    assert_refused(path, "isn't a recording: not an MCAP file")
 
 
 def test_wire_log_decodes_lines_with_the_stamps_of_their_last_bytes() -> None:

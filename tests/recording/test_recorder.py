@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import os
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import gymnasium
 import numpy as np
@@ -33,7 +35,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "tape.mcap"
 
 
-def fail(*arguments: object) -> None:
+def fail(*arguments: object) -> NoReturn:
     raise OSError(28, "No space left on device")
 
 
@@ -185,6 +187,27 @@ def test_recorder_that_cannot_begin_closes_the_link() -> None:
         robot.link.write(b"")
 
 
+def test_recorder_does_not_wait_for_the_reader_of_a_pipe(path: Path) -> None:
+    os.mkfifo(path)
+    with pytest.raises(ConfigError, match=r"tape.mcap: can't be written"):
+        drive(path, CONFIG, 5)
+
+
+def test_recorder_can_begin_after_a_sink_that_cannot(path: Path) -> None:
+    recorder = Recorder(path, sinks=[fail])
+    for _ in range(2):
+        with pytest.raises(OSError, match="No space"):
+            recorder.open(CONFIG)
+    assert not path.exists()
+
+
+def test_recorder_takes_the_text_of_any_error(path: Path) -> None:
+    with Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path)) as robot:
+        robot.deactivate(LinkError(os.fsdecode(b"\xff.mcap: is lost")))
+    faults = read(path).episodes[0].tables["faults_bytes"]
+    assert faults.tobytes() == b"\\udcff.mcap: is lost"
+
+
 def test_recorder_refuses_the_file_that_is_replayed(path: Path) -> None:
     drive(path, CONFIG, 5)
     same = path.with_name("same.mcap")
@@ -217,6 +240,20 @@ def test_recorder_shares_no_file_and_ends_once(path: Path) -> None:
     assert len(read(path).episodes) == 1
     with pytest.raises(ConfigError, match="has ended"):
         envs.envs[0].reset()  # type: ignore[attr-defined]
+
+
+def test_recorder_of_a_copy_writes_another_file(path: Path) -> None:
+    env = gymnasium.make(ENV, link="planar", record=path)
+    env.reset(seed=0)
+    other = copy.deepcopy(env)
+    other.reset(seed=1)
+    other.close()
+    env.close()
+    seeds = [
+        read(path.with_name(name)).episodes[0].info["seed"] for name in ("tape.mcap", "tape.1.mcap")
+    ]
+    assert seeds == [0, 1]
+    assert read(path).episodes[0].success is None  # without a step
 
 
 def test_recorder_of_an_env_keeps_what_the_policy_saw_and_did(path: Path) -> None:
