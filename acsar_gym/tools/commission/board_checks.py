@@ -37,6 +37,7 @@ from acsar_gym.tools.commission.wiring import (
     wire_wheel,
 )
 from acsar_gym.tools.sysid.board import (
+    EFFECT_TIME,
     SPIN_SPEED,
     SPIN_TIME,
     STANDING_SHARE,
@@ -118,8 +119,8 @@ class BoardExamination:
 
         rows = [self._listen(link.device)]
         if self.spin:
-            rows += [self._check_line_end(), self._spin(), self._check_wheels()]
-            rows += [self._measure_times(), self._check_resets()]
+            rows += [self._spin(), self._check_line_end(), self._check_answers()]
+            rows += [self._check_wheels(), self._measure_times(), self._check_resets()]
         for row in chain.from_iterable(rows):
             yield row
             if row.name in FATAL:
@@ -226,14 +227,28 @@ class BoardExamination:
         return len(self._turning(lines.speeds)) > 0
 
     def _spin(self) -> Iterator[Check]:
-        """Turn one wheel after the other, and report what can't be a wheel's answer."""
-        # A person watches which wheel turns, so that they turn one at a time.
-        for letter in MOTORS:
-            lines = self.probe.drive(self._command(letter), SPIN_TIME)
-            self.probe.stop_wheels(self.speed)
-            self.answers[letter] = WheelAnswer.of(lines, self.speed)
-            yield from self._check_resets()
+        """Turn one wheel after the other, before any other check turns one.
 
+        A person notes which wheel turns first, second, third and fourth.
+        """
+        self.probe.stop_wheels(self.speed)
+        letters = MOTORS
+        for comma in (True, False):
+            self.probe.trailing_comma = comma
+            for letter in letters:
+                lines = self.probe.drive(self._command(letter), SPIN_TIME)
+                self.probe.stop_wheels(self.speed)
+                self.answers[letter] = WheelAnswer.of(lines, self.speed)
+                yield from self._check_resets()
+
+            # Some boards take no line with a trailing comma, others not its last value.
+            if self.answers["d"].encoder:
+                return
+            if any(answer.encoder for answer in self.answers.values()):
+                letters = "d"
+
+    def _check_answers(self) -> Iterator[Check]:
+        """Report what can't be a wheel's answer."""
         # The text of our own firmware names a wheel whose motor it has switched off.
         if notes := self.probe.decoder.notes:
             is_cut = any(note[1:].startswith(" cut:") for note in notes)
@@ -352,19 +367,25 @@ class BoardExamination:
 
         times = measure_board(self.probe, self.speed)
         self.times = times
-        yield warn_if(
-            not times.delay < SLOW_RESPONSE,
-            DELAY_CHECK,
-            f"{1e3 * times.delay:.0f} ms from a command's last byte to the first that shows it, "
-            f"the median of {len(times.delays)}, "
-            f"{1e3 * max(times.delays, default=math.nan):.0f} ms at most",
-            "raise the baud rate; set the USB adapter's latency timer to 1 ms",
-        )
+        if times.delays:
+            yield warn_if(
+                times.delay > SLOW_RESPONSE,
+                DELAY_CHECK,
+                f"{1e3 * times.delay:.0f} ms from a command's last byte to the first that shows "
+                f"it, the median of {len(times.delays)}, {1e3 * max(times.delays):.0f} ms at most",
+                "raise the baud rate; set the USB adapter's latency timer to 1 ms",
+            )
+        else:
+            finding = f"a command had no effect within {EFFECT_TIME:g} s"
+            yield Check(DELAY_CHECK, "fail", finding, "check the motors' power and every encoder")
+        yield self._check_timeout(times)
+
+    def _check_timeout(self, times: BoardTimes) -> Check:
+        """Report how soon the board stops by itself, and note what differs from the file."""
         timeout = times.command_timeout
         if math.isnan(timeout):
             fix = "does the board repeat old lines, or is this computer busy? Try again"
-            yield Check(TIMEOUT_CHECK, "fail", "another time at each trial", fix)
-            return
+            return Check(TIMEOUT_CHECK, "fail", "another time at each trial", fix)
 
         # Fields that are as configured stay as they are in the file.
         never = math.isinf(timeout)
@@ -378,9 +399,11 @@ class BoardExamination:
             self.changes["firmware"] = firmware
         if never:
             fix = "add a command time-out to the firmware"
-            yield Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix)
-        else:
-            yield Check(TIMEOUT_CHECK, "ok", f"{timeout:.2f} s after the last command")
+            return Check(TIMEOUT_CHECK, "fail", "the wheels keep turning", fix)
+        finding = f"{timeout:.2f} s after the last command"
+        if math.isfinite(times.standstill):
+            finding += f"; the wheels are at rest after {times.standstill:.2f} s"
+        return Check(TIMEOUT_CHECK, "ok", finding)
 
     def save(self, path: Path) -> Check:
         """Write the robot with the changes."""

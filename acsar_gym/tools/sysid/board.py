@@ -45,8 +45,8 @@ TAIL_BYTES = 400
 
 DELAY_TRIALS = 7
 """Commands whose first effect is timed, at different phases of the board's lines."""
-EFFECT_TIME = 0.5
-"""Longest wait for the effect of a command [s]."""
+EFFECT_TIME = 1.0
+"""Longest wait for the effect of a command [s]: longer than the delay of any usual board."""
 REST_TIME = 0.8
 """Time that wheels come to rest before a command is timed [s]."""
 QUIET_SPEED = 0.005
@@ -59,6 +59,8 @@ LONGEST_TIMEOUT = 3.0
 """Wheels that turn for longer without a command don't stop by themselves [s]."""
 TIMEOUT_TRIALS = 4
 """Most measurements of a time-out, of which two must agree."""
+TRIAL_SHIFT = 0.73
+"""Further wait before each next measurement [s]: an odd number, so that nothing stays in phase."""
 SAME_TIMEOUT = 0.06
 """Two time-outs that differ by less than this agree [s]."""
 
@@ -88,6 +90,9 @@ class BoardTimes(NamedTuple):
     command_timeout: float
     """Time from the newest command to the moment in which the board stops its motors [s]. Infinite
     if the wheels keep turning, NaN if no two measurements agree."""
+    standstill: float
+    """Time from the newest command to the moment in which the wheels are at rest by themselves [s].
+    NaN if that wasn't seen."""
 
     @property
     def delay(self) -> float:
@@ -319,7 +324,8 @@ def measure_board(probe: BoardProbe, speed: float = SPIN_SPEED) -> BoardTimes:
     # All wheels turn together, so that the mean speed shows small changes.
     command = (speed, speed, speed, speed)
     delays = _measure_delays(probe, command)
-    return BoardTimes(probe.rate, tuple(sorted(delays)), _measure_timeout(probe, command))
+    timeout, standstill = _measure_timeout(probe, command)
+    return BoardTimes(probe.rate, tuple(sorted(delays)), timeout, standstill)
 
 
 def _mean(speeds: Floats) -> Floats:
@@ -350,8 +356,8 @@ def _measure_delays(probe: BoardProbe, command: Speeds) -> list[float]:
     return delays
 
 
-def _measure_timeout(probe: BoardProbe, command: Speeds) -> float:
-    """Return the time-out [s], as `BoardTimes` has it.
+def _measure_timeout(probe: BoardProbe, command: Speeds) -> tuple[float, float]:
+    """Return the time-out and the time to standstill [s], as `BoardTimes` has them.
 
     Wheels that stop by themselves are compared with a commanded stop. Both falls have the same
     delay and shape, so their difference is the time-out. A line that the board repeats or a busy
@@ -359,35 +365,40 @@ def _measure_timeout(probe: BoardProbe, command: Speeds) -> float:
     """
     timeouts: list[float] = []
 
-    for _ in range(TIMEOUT_TRIALS):
-        commanded = _time_fall(probe, command, ZERO)
-        by_itself = _time_fall(probe, command, None)
+    for trial in range(TIMEOUT_TRIALS):
+        # A board that repeats a line at intervals must not spoil each trial alike.
+        probe.drive(ZERO, trial * TRIAL_SHIFT)
+        commanded, _ = _time_fall(probe, command, ZERO)
+        by_itself, standstill = _time_fall(probe, command, None)
 
         # Wheels that turn for `LONGEST_TIMEOUT` don't stop by themselves.
         if math.isinf(by_itself):
-            return math.inf
+            return math.inf, math.nan
         timeout = max(by_itself - commanded, 0.0)
 
         # Two that agree weren't spoilt.
         for earlier in timeouts:
             if abs(timeout - earlier) < SAME_TIMEOUT:
-                return (timeout + earlier) / 2.0
+                return (timeout + earlier) / 2.0, standstill
         timeouts.append(timeout)
-    return math.nan
+    return math.nan, math.nan
 
 
-def _time_fall(probe: BoardProbe, command: Speeds, stop: Speeds | None) -> float:
+def _time_fall(probe: BoardProbe, command: Speeds, stop: Speeds | None) -> tuple[float, float]:
     """Turn the wheels steadily, then command a stop or nothing.
 
     Returns:
-        Time from the newest command until the speed has fallen to `FALL_LEVEL` [s]. Infinite
-        if it doesn't.
+        Time from the newest command until the speed has fallen to `FALL_LEVEL` [s], which is
+        infinite if it doesn't, and until the wheels are at rest, NaN if that wasn't seen.
     """
     # Levels are relative, so a wrong scale of the feedback doesn't matter.
     steady = probe.drive(command, SPIN_TIME)
     level = FALL_LEVEL * float(_mean(steady.newest).mean())
     longest = LONGEST_TIMEOUT if stop is None else FALL_TIME
-    falling = probe.drive(stop, longest, below=level)
+
+    # Only wheels that stop by themselves are watched to their end.
+    end = STANDING_SHARE * max(command) if stop is None else level
+    falling = probe.drive(stop, longest, below=end)
     probe.stop_wheels(max(command))
 
     # Interpolate the time of the level between the lines around it.
@@ -395,9 +406,11 @@ def _time_fall(probe: BoardProbe, command: Speeds, stop: Speeds | None) -> float
     speeds = np.append(_mean(steady.speeds)[-1], _mean(falling.speeds))
     fallen = np.flatnonzero(speeds < level)
     if not len(fallen) or not fallen[0]:
-        return math.inf
+        return math.inf, math.nan
     crossing = [fallen[0], fallen[0] - 1]
-    return float(np.interp(level, speeds[crossing], stamps[crossing])) - falling.sent
+    fall = float(np.interp(level, speeds[crossing], stamps[crossing])) - falling.sent
+    is_at_rest = stop is None and speeds[-1] < end
+    return fall, float(stamps[-1]) - falling.sent if is_at_rest else math.nan
 
 
 def likely_units(ratio: float, config: RobotConfig) -> str:

@@ -235,11 +235,16 @@ class GivenReadings(NamedTuple):
             manoeuvres: straight or turn, for each run.
 
         Raises:
-            ConfigError: There isn't a reading for each run.
+            ConfigError: There isn't a reading for each run, or a reading isn't a finite number.
         """
-        # Each option has a reading for each run of its manoeuvre, or none.
         options = {"measured": "straight", "aside": "straight", "measured-deg": "turn"}
         for (option, manoeuvre), numbers in zip(options.items(), self, strict=True):
+            if not all(map(math.isfinite, numbers)):
+                raise ConfigError(
+                    f"--{option} {' '.join(map(str, numbers))}: must be finite numbers"
+                )
+
+            # Each option has a reading for each run of its manoeuvre, or none.
             runs = manoeuvres.count(manoeuvre)
             if len(numbers) not in (0, runs):
                 raise ConfigError(
@@ -288,8 +293,8 @@ def check_readings(run: CalibrationRun, config: RobotConfig) -> None:
             low = -high
             share = reading.value / rolled_distance(run, geometry.radius)
         elif run.manoeuvre == "turn":
-            low *= geometry.multiplier / SKID_MULTIPLIERS[1]
-            high *= geometry.multiplier / SKID_MULTIPLIERS[0]
+            low *= min(1.0, geometry.multiplier / SKID_MULTIPLIERS[1])
+            high *= max(1.0, geometry.multiplier / SKID_MULTIPLIERS[0])
         elif reading.kind == "heading":
             continue
         if not low <= share <= high:

@@ -27,6 +27,8 @@ SPACE_MARGIN = 0.1
 """Distance to be kept from the edge of the space [m]."""
 SLOWER_SHARE = 0.07
 """How much slower the second and third of three runs are, as a share of the speed."""
+BACKWARDS = ", backwards"
+"""End of the name of a run that goes backward: people stand behind the robot."""
 MOST_RUNS = 200
 """Most runs of one call."""
 APPROACH_GAIN = 3.0
@@ -63,6 +65,10 @@ class RunPlan:
     back: bool = False
     """Whether it goes backward, so that the robot returns to the start of the run before."""
 
+    def ahead(self) -> RunPlan:
+        """Return the same run, but not backward."""
+        return replace(self, name=self.name.removesuffix(BACKWARDS), back=False)
+
 
 def plan_straights(distance: float, speed: float, repeats: int) -> list[RunPlan]:
     """Plan straight runs.
@@ -73,17 +79,19 @@ def plan_straights(distance: float, speed: float, repeats: int) -> list[RunPlan]
         repeats: Number of runs. Every second run goes backward, to the start of the one before.
     """
     _check_size("--distance", distance, largest=100.0, runs=repeats)
-    return [
-        RunPlan(
-            name=f"straight {number + 1}",
+    plans = []
+    for number in range(repeats):
+        back = number % 2 == 1
+        plan = RunPlan(
+            name=f"straight {number + 1}{BACKWARDS if back else ''}",
             manoeuvre="straight",
             distance=distance,
             angle=0.0,
             speed=speed * (1.0 - SLOWER_SHARE * (number % 3)),
-            back=number % 2 == 1,
+            back=back,
         )
-        for number in range(repeats)
-    ]
+        plans.append(plan)
+    return plans
 
 
 def plan_turns(
@@ -215,7 +223,7 @@ def drive_plans(
     # A simulated floor has no edge, and a robot that starts each run at the origin needn't drive
     # back. But a plan that doesn't fit is still an error.
     if robot.link.truth is not None:
-        plans = [replace(plan, back=False) for plan in plans]
+        plans = [plan.ahead() for plan in plans]
         space = space or find_needed_space(plans, robot.config)
     space = check_space(plans, robot.config, space)
 

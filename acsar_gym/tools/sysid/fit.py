@@ -353,12 +353,16 @@ def check_wheel_order(problem: FitProblem) -> None:
         advice = "name the joints in the order a, b, c, d in ros2.joints of the robot's file"
     advice += "; nothing was fitted"
 
-    # The answers of a usual wheel to all commands, compared with the speeds of each wheel.
+    # The answers of a usual wheel to all commands, at any delay, compared with the speeds of each
+    # wheel. Periodic commands correlate with both signs, and then a wheel isn't reversed.
     models, times = problem.split(problem.prior)
-    speeds = problem.printed
-    answers = [problem.responder.answers(wheel, models[0], times) for wheel in range(len(WHEELS))]
-    sizes = np.sqrt(np.outer(np.square(speeds).sum(axis=1), np.square(answers).sum(axis=1)))
-    correlations = speeds @ np.transpose(answers) / np.maximum(sizes, 1e-9)
+    delays = [
+        _correlate(problem, models[0], times._replace(delay=delay))
+        for delay in SEARCHED_DELAYS.tolist()
+    ]
+    highest = np.max(delays, axis=0)
+    lowest = np.min(delays, axis=0)
+    correlations = np.where(highest >= -lowest - ANSWER_ADVANTAGE, highest, lowest)
     for wheel in problem.wheels:
         row = correlations[wheel]
         best = int(np.argmax(np.abs(row)))
@@ -367,6 +371,14 @@ def check_wheel_order(problem: FitProblem) -> None:
             raise AcsarError(f"{WHEELS[wheel]} answers {WHEELS[best]}'s command{way}: {advice}")
         if row[wheel] < -ANSWER_CORRELATION:
             raise AcsarError(f"{WHEELS[wheel]} turns backward at forward commands: {advice}")
+
+
+def _correlate(problem: FitProblem, model: WheelModel, times: BoardModel) -> Floats:
+    """Return the correlation of each wheel's speeds (rows) with the answer to each command."""
+    speeds = problem.printed
+    answers = [problem.responder.answers(wheel, model, times) for wheel in range(len(WHEELS))]
+    sizes = np.sqrt(np.outer(np.square(speeds).sum(axis=1), np.square(answers).sum(axis=1)))
+    return np.asarray(speeds @ np.transpose(answers) / np.maximum(sizes, 1e-9))
 
 
 def _with(x: Floats, place: int, value: float) -> Floats:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -61,6 +62,9 @@ NOISES = 2.0
 is larger."""
 DAMAGED_SHARE = 0.03
 """Share of lines, the worst, that may be damaged and don't count."""
+FEWEST_LINES = 20
+SHORTEST_RATE_LOG = 1.0
+"""Fewer lines, or a shorter log [s], show no rate: a few lines may all be early or late."""
 LEAST_RATE_SHARE = 0.002
 """Half width of the rate's interval, as a share: clocks differ by that much."""
 SAME_WINDOW = 0.02
@@ -251,10 +255,19 @@ class Identification:
 
     def as_dict(self) -> dict[str, Any]:
         """Format for JSON."""
+        model = None
+        if self.held_out:
+            model = {
+                "verdict": self.verdict,
+                "pattern": self.misfit,
+                "error": self.held_out.after,
+                "noise": self.held_out.noise,
+            }
+
         return {
             "findings": [asdict(finding) for finding in self.findings],
             "held_out": self.held_out._asdict() if self.held_out else None,
-            "model": self.verdict if self.held_out else None,
+            "model": model,
             "delays": list(self.delays),
             "duration": self.duration,
             "logs": list(self.logs),
@@ -291,10 +304,12 @@ def identify_device(
 ) -> Identification:
     """Drive the manoeuvre, and identify the robot from it. Errors as for `drive_excitation`."""
     log = drive_excitation(link, config, duration, recorder)
-    hashes = []
     if recorder is not None and recorder.path is not None and not recorder.problem:
-        hashes = [read(recorder.path).sha256]
-    return identify_logs([log], config, hashes)
+        return identify_logs([log], config, [read(recorder.path).sha256])
+
+    # A drive without a recording has a hash as well, as the source of the robot's intervals.
+    content = b"".join((log.sent_stamps.tobytes(), log.got_stamps.tobytes(), *log.sent, *log.got))
+    return identify_logs([log], config, [hashlib.sha256(content).hexdigest()[:16]])
 
 
 def identify_logs(
@@ -505,6 +520,9 @@ def _find_times(fit: MotorFit | None, config: RobotConfig, missing: str) -> list
 def _find_rate(tracks: Sequence[BoardTrack], config: RobotConfig) -> ParameterFinding:
     """Find the rate of the lines, as `doctor` measures it."""
     finding = ParameterFinding(RATE_NAME, before=config.feedback_rate)
+    duration = sum(track.duration for track in tracks)
+    if sum(len(track.stamps) for track in tracks) < FEWEST_LINES or duration < SHORTEST_RATE_LOG:
+        return replace(finding, note="too few lines of feedback")
 
     # Long tracks count more.
     rates = [measure_rate(track.stamps.tolist(), track.numbers.tolist()) for track in tracks]

@@ -340,7 +340,7 @@ def format_gap(gap: TwinGap) -> dict[str, Any]:
     document = asdict(gap)
     # Figures of both twins are keys of their log, next to its name.
     document["logs"] = [log | log.pop("figures") for log in document["logs"]]
-    document["conclusion"] = conclude_gap(gap)
+    document["conclusion"] = [conclude_gap(gap)]
     for side in TWIN_SIDES:
         intervals = {name: bootstrap_interval(gap.values(side, name)) for name in GAP_METRICS}
         document[side] = {"figures": gap.figures(side), "intervals": intervals}

@@ -45,7 +45,10 @@ def test_identify_refuses_a_board_outside_the_model_unless_anyway(
     identify = f"identify planar --twin {twin} --duration 12 --out {out}"
     misfit = "doesn't fit: every wheel reports 1.50 times the expected speed"
     call.refuse(misfit, f"{identify} --json {figures}", code=1)
-    assert json.loads(figures.read_text())["model"].startswith(misfit)
+    model = json.loads(figures.read_text())["model"]
+    assert model["verdict"] == f"doesn't fit: {model['pattern']}"
+    assert model["verdict"].startswith(misfit)
+    assert set(model) == {"verdict", "pattern", "error", "noise"}
     assert not out.exists()
 
     # A file that was written anyway has a remark, which gap and run repeat.
@@ -109,6 +112,32 @@ def test_calibrate_uses_runs_that_were_finished_before_a_stall(
     assert set(RobotConfig.load(out).measured) >= {"wheel_radius"}
 
 
+def test_calibrate_points_to_a_recording_only_if_there_is_one(
+    call: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def open_quirky(name: str, config: RobotConfig) -> Link:
+        return make_link(name, config, parse_quirks(["frozen=8"]))
+
+    monkeypatch.setattr(links, "open_link", open_quirky)
+    calibrate = f"calibrate planar all {QUICK} --speeds 1 --measured-deg 1800"
+    text = call.refuse("no feedback", calibrate, code=3)
+    assert "no run has a reading" in text
+    assert "later" not in text
+
+
+def test_calibrate_needs_a_radius(call: Any) -> None:
+    call.refuse("--radii: name a radius", "calibrate planar turn --radii")
+
+
+@pytest.mark.usefixtures("inside")
+@pytest.mark.parametrize("option", ["--twin acsar", "--record new.mcap", "--view", "--duration 5"])
+def test_recordings_refuse_options_for_driving(option: str, call: Any) -> None:
+    refusal = f"{option.partition(' ')[0]} is for driving a robot; recordings are only read"
+    call.refuse(refusal, f"identify log0.mcap {option}")
+    if option != "--duration 5":
+        call.refuse(refusal, f"calibrate log0.mcap straight {option}")
+
+
 def test_calibrate_with_readings_given_later(call: Any, tmp_path: Path) -> None:
     mine = tmp_path / "my.yaml"
     out = tmp_path / "out.yaml"
@@ -150,6 +179,7 @@ def test_gap_of_the_right_robot_is_small(inside: Path, call: Any) -> None:
     out = call.succeed("gap log0.mcap log1.mcap --robot robot.yaml --json gap.json")
     assert "2 held-out episodes, 8 s: wheel speeds from" in out
     data = json.loads((inside / "gap.json").read_text())
+    assert [line.partition(", ")[0] for line in data["conclusion"]] == ["2 held-out episodes"]
     unfitted = data["before"]["figures"]
     fitted = data["after"]["figures"]
     assert fitted["wheel_speed_rms"] < 0.1 * unfitted["wheel_speed_rms"]

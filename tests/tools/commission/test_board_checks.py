@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from integer_board import SIBLING, IntegerLink
 
 from acsar_gym import Link, Robot, RobotConfig
 from acsar_gym.errors import ConfigError, LinkError
-from acsar_gym.protocol import WHEELS
+from acsar_gym.protocol import MOTORS, WHEELS
 from acsar_gym.tools.commission.board_checks import BoardExamination
 from acsar_gym.tools.commission.checks import Check
 from acsar_gym.tools.commission.wiring import parse_seen
@@ -63,6 +64,24 @@ def test_check_line_end(
     assert rows["line end"].status == status
     assert rows["rear_right"].status == "ok"
     assert result.changes.get("trailing_comma") == needed
+
+
+@pytest.mark.parametrize("quirks", [(), ("no-comma",)], ids=["usual", "no comma"])
+def test_spin_turns_the_wheels_in_the_order_of_their_letters(quirks: tuple[str, ...]) -> None:
+    """Users note which wheel turns for each letter, so no other check turns a wheel before."""
+    link = board(*quirks)
+    turned = [""]
+    write = link.write
+
+    def note(data: bytes) -> None:
+        letters = "".join(letter for letter in MOTORS if b"%cp03.00" % ord(letter) in data)
+        if letters not in ("", turned[-1]):
+            turned.append(letters)
+        write(data)
+
+    link.write = note  # type: ignore[method-assign]
+    examined(link)
+    assert turned[1:5] == list(MOTORS)
 
 
 @pytest.mark.parametrize(
@@ -122,6 +141,7 @@ def test_run_refuses_wheels_that_never_stop() -> None:
     [
         (("command-timeout=1.3", "feedback-rate=20"), SLOW_BOARD, 1.3),
         (("stale=2.3", "command-timeout=0.5"), SLOW_BOARD, 0.5),
+        (("stale=2",), {}, 0.5),
         (("no-timeout",), {}, None),
     ],
     ids=str,
@@ -133,6 +153,23 @@ def test_check_timeout(quirks: tuple[str], robot: dict[str, Any], timeout: float
     measured = result.changes["firmware"]["command_timeout"]
     assert measured == (None if timeout is None else pytest.approx(timeout, abs=0.06))
     assert rows[TIMEOUT].status == ("fail" if timeout is None else "ok")
+
+    # The time after which nothing moves any more, if the program dies.
+    at_rest = re.search("the wheels are at rest after (.*) s", rows[TIMEOUT].found)
+    assert (at_rest is None) == (timeout is None)
+    if at_rest is not None and timeout is not None:
+        assert timeout + 0.1 < float(at_rest[1]) < timeout + 1.5
+
+
+@pytest.mark.parametrize(
+    ("delay", "status", "finding"),
+    [(0.6, "warn", "6.. ms from a command's last byte"), (1.0, "fail", "no effect within 1 s")],
+)
+def test_run_times_a_board_that_answers_late(delay: float, status: str, finding: str) -> None:
+    late = RobotConfig(firmware={"command_delay": delay})
+    row = examined(board(robot=late))[1]["command to feedback"]
+    assert row.status == status
+    assert re.search(finding, row.found)
 
 
 def drive(config: RobotConfig, *names: str) -> tuple[Pose, Pose]:

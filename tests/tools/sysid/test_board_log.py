@@ -92,7 +92,19 @@ ONE_DEAD = {"motor": {"deadband": (0.0, 20.0, 0.0, 0.0)}}
 )
 def test_check_wheel_order_names_a_miswired_wheel(hidden: Any, message: str) -> None:
     log = drive_wire(lambda time: STEPS[round(time / 0.01)], ACSAR.with_(**hidden), 5.0)
+    with pytest.raises(AcsarError, match=message) if message else nullcontext():
+        check_order(log)
+
+
+@pytest.mark.parametrize("rate", [8.0, 12.0])
+def test_check_wheel_order_accepts_a_late_board_with_periodic_commands(rate: float) -> None:
+    """Half a period later, the answer has the other sign."""
+    late = {"motor": {"time_constant": 0.3}, "firmware": {"command_delay": 0.25}}
+    check_order(drive_wire(lambda time: 5.0 * np.sin(rate * time), ACSAR.with_(**late), 5.0))
+
+
+def check_order(log: WireLog) -> None:
+    """Check the wheels of a log, as `identify` does."""
     tracks = decode_tracks([log], ACSAR)
     turning = np.flatnonzero(np.abs(tracks[0].speeds).max(axis=0) > 0.5).tolist()
-    with pytest.raises(AcsarError, match=message) if message else nullcontext():
-        check_wheel_order(FitProblem(tracks, turning, ACSAR, Rounding()))
+    check_wheel_order(FitProblem(tracks, turning, ACSAR, Rounding()))

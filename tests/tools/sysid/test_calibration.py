@@ -63,6 +63,15 @@ def test_check_readings_refuses_what_contradicts_odometry(
         check_readings(given.give([run])[0], ACSAR)
 
 
+@pytest.mark.parametrize("multiplier", [0.7, 2.6])
+def test_check_readings_takes_what_agrees_with_odometry(multiplier: float) -> None:
+    config = ACSAR.with_(wheel_separation_multiplier=multiplier)
+    turned = spin_wheels(Geometry.of(config), 10.0 * math.pi)
+    run = CalibrationRun("turn 1, left", "turn", turned)
+    for degrees in (1400.0, 1800.0, 2200.0):
+        check_readings(GivenReadings(degrees=[degrees]).give([run])[0], config)
+
+
 def test_given_readings_are_for_all_runs_of_a_manoeuvre() -> None:
     readings = GivenReadings((2.0, -2.1), (0.05, -0.05), (1712.0, -1713.0))  # a run is backward
     assert readings.check(["straight", "turn", "straight", "turn"])
@@ -76,6 +85,8 @@ def test_given_readings_are_for_all_runs_of_a_manoeuvre() -> None:
     ]
     with pytest.raises(ConfigError, match="2 readings for 1 straight runs"):
         readings.check(["straight", "turn"])
+    with pytest.raises(ConfigError, match=r"--measured 2\.0 nan: must be finite"):
+        GivenReadings((2.0, math.nan)).check(["straight", "straight"])
     with pytest.raises(ConfigError, match="--aside needs --measured"):
         GivenReadings((), (0.1,)).check(["straight"])
 

@@ -18,6 +18,7 @@ from acsar_gym.tools.sysid.calibration_drive import (
     SPACE_SLACK,
     RunPlan,
     check_space,
+    drive_plans,
     drive_run,
     find_needed_space,
     make_fence,
@@ -53,6 +54,18 @@ def test_make_fence_is_around_the_space_also_on_the_way_back() -> None:
     assert ahead.max_x == -back.min_x > 3.5
     assert ahead.min_x == -back.max_x > -1.5
     assert ahead.max_y == -ahead.min_y < 1.5
+
+
+def test_plan_straights_names_runs_that_go_backward() -> None:
+    names = ["straight 1", "straight 2, backwards", "straight 3"]
+    assert [plan.name for plan in LINES] == names
+    announced: list[RunPlan] = []
+    plans = plan_straights(0.05, 0.3, 2)
+    drive_plans(make_robot(), plans, None, runs=[], announce=announced.append)
+    assert [(plan.name, plan.back) for plan in announced] == [
+        ("straight 1", False),
+        ("straight 2", False),  # a simulated robot starts each run at the origin
+    ]
 
 
 def test_plans_refuse_bad_sizes() -> None:

@@ -108,6 +108,10 @@ def test_dead_names_wheels_that_never_turned() -> None:
     assert result.dead == ("rear_left", "rear_right")
     result.check()
 
+    # The drive has no recording, but its intervals have a source.
+    assert [len(log) for log in result.logs] == [16]
+    assert result.robot().measured["motor.gain.a"].logs == result.logs
+
 
 def test_identify_logs_keeps_what_a_drive_does_not_show() -> None:
     log = drive_wire(lambda time: 6.0 * np.sin(0.2 * time), HIDDEN, 20.0)
@@ -120,6 +124,13 @@ def test_identify_logs_keeps_what_a_drive_does_not_show() -> None:
     for name in ("motor.acceleration", "firmware.command_delay", "firmware.command_timeout"):
         assert (findings[name].value, findings[name].told) == (None, False)
         assert "not narrowed by this log: drive" in findings[name].note
+
+
+def test_identify_logs_finds_no_rate_in_a_few_lines() -> None:
+    for seconds, told in ((0.5, False), (1.5, True)):
+        log = drive_wire(lambda _: np.full(4, 5.0), ACSAR, seconds)
+        findings = {finding.name: finding for finding in identify_logs([log], ACSAR).findings}
+        assert findings["firmware.feedback_rate"].told == told
 
 
 @pytest.mark.parametrize("window", [0.005, 0.1])

@@ -63,7 +63,12 @@ class FoundRobotOptions(RecordOptions):
 
     def check_recorded(self, *, has_duration: bool = False) -> None:
         """Refuse options for driving a robot, because recordings are read."""
-        options = {"twin": self.twin, "record": self.record, "duration": has_duration}
+        options = {
+            "twin": self.twin,
+            "record": self.record,
+            "view": self.view,
+            "duration": has_duration,
+        }
         for name, value in options.items():
             if value:
                 raise ConfigError(f"--{name} is for driving a robot; recordings are only read")
@@ -245,6 +250,9 @@ class RunOptions:
         if manoeuvre == "straight":
             return plans
 
+        if not self.radii:
+            raise ConfigError("--radii: name a radius, 0 to turn in place")
+
         # On the largest circle the centre must not be faster than the robot can drive.
         largest = max(*self.radii, 1e-9)
         fastest = min(config.max_angular, config.max_linear / largest)
@@ -366,10 +374,12 @@ def _finish_calibration(
 
     if not any(run.readings for run in runs):
         output.print(data=calibration_fit.format_calibration(None, runs, config))
-        say(
-            "no run has a reading: nothing was found and no robot's file written. Give readings "
-            f"later: acsar-gym calibrate {record} all --measured ..."
-        )
+        message = "no run has a reading: nothing was found and no robot's file written"
+        # Runs that weren't recorded can't get readings later.
+        if record is not None:
+            later = f"acsar-gym calibrate {record} all --measured ..."
+            message += f". Give readings later: {later}"
+        say(message)
         return 0
 
     fit = calibration_fit.fit_geometry(runs, config)
