@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import acsar_gym
-from acsar_gym.errors import ConfigError, show_value, suggest_name
+from acsar_gym.errors import ConfigError, PolicyError, show_value, suggest_name
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
+from acsar_gym.registration import IDS
 from acsar_gym.resources import AGENTS, PACKAGE, hash_modules, hash_sources
 from acsar_gym.sensors import MOVERS
 from acsar_gym.tasks import Task
@@ -234,6 +235,7 @@ def _load_agents(name: str, files: dict[str, Sources], envs: Sequence[str]) -> I
     # A policy drives on the id that it names. Baselines, and code that names none, drive on all.
     for seed, source in sources:
         named_id = "" if kind != LEARNED else _read_id(source, envs[0])
+        _check_id(source, named_id, envs)
         for env_id in envs:
             if named_id in ("", short_id(env_id)):  # only users name ids of other packages
                 # A zip can run code while it is loaded, so it is refused here.
@@ -246,6 +248,17 @@ def _read_id(source: str, env_id: str) -> str:
     if is_callable(source):
         return short_id(CallablePolicy(source, env_id).said_id)
     return short_id(load_policy(source, trust=False).env_id)
+
+
+def _check_id(source: str, named_id: str, envs: Sequence[str]) -> None:
+    """Raise PolicyError for a file that is for an id of another package, if the user names none."""
+    # Otherwise its agent would have no row, and no message.
+    if named_id in IDS or named_id in ("", *map(short_id, envs)) or is_callable(source):
+        return
+    raise PolicyError(
+        f"{source}: made for {show_value(named_id)}, which isn't acsar_gym's: if you trust that "
+        "package, name it with --env"
+    )
 
 
 def _is_default(agent: Agent) -> bool:

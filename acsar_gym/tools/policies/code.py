@@ -128,7 +128,7 @@ class CallablePolicy(FilePolicy):
             sys.path.append(folder)
         # The name is unlikely to be that of a module which the file imports.
         module = ModuleType(f"acsar_gym_policy_{self.path.stem}")
-        module.__file__ = path
+        module.__file__ = str(self.path.absolute())  # code finds its own files by it
         sys.modules[module.__name__] = module  # dataclasses and pickle look for modules there
 
         def run() -> None:

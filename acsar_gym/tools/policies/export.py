@@ -31,8 +31,11 @@ class Normalizer(torch.nn.Module):
         self.mean = torch.nn.Buffer(torch.tensor(np.atleast_1d(mean), dtype=torch.float32))
         self.std = torch.nn.Buffer(torch.tensor(np.atleast_1d(std), dtype=torch.float32))
         self.clip = math.inf if clip is None else clip
-        if not (torch.isfinite(self.mean).all() and self.std.min() > 0.0 and self.clip > 0.0):
-            raise PolicyError("normalizer: mean must be finite, std and clip must be positive")
+        is_finite = torch.isfinite(self.mean).all() and torch.isfinite(self.std).all()
+        if not (is_finite and self.std.min() > 0.0 and self.clip > 0.0):
+            raise PolicyError(
+                "normalizer: mean and std must be finite, std and clip must be positive"
+            )
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Normalize observations, shape (batch, n)."""
@@ -75,7 +78,7 @@ def make_normalizer(source: Any) -> torch.nn.Module | None:
         return source
     try:
         return Normalizer(*source)
-    except TypeError as error:
+    except (TypeError, ValueError) as error:
         reason = "must be (mean, std), (mean, std, clip) or a torch module"
         raise PolicyError(f"normalizer: {reason}") from error
 

@@ -154,12 +154,13 @@ def resolve(path: str | Path, baselines: Iterable[str] = ()) -> Path:
     """
     path = Path(path)
     # A folder such as crowd/ would hide the packaged policy of this name.
-    packaged = AGENTS / "policies" / f"{path}.onnx"
+    folder = AGENTS / "policies"
+    packaged = folder / f"{path}.onnx"
     if packaged.exists() and not path.is_file():
         return packaged
     if path.exists():
         return path
-    names = ", ".join(sorted(p.stem for p in packaged.parent.glob("*.onnx"))) or "none"
+    names = ", ".join(sorted(p.stem for p in folder.glob("*.onnx"))) or "none"
     more = f"; baselines: {', '.join(baselines)}" if baselines else ""
     raise PolicyError(f"{path}: no such policy file; packaged policies: {names}{more}")
 

@@ -46,6 +46,7 @@ class BatchVecEnv(VecEnv):
         super().__init__(batch.num_envs, batch.single_observation_space, batch.single_action_space)
         self._actions: NDArray[np.float32] = np.zeros((batch.num_envs, 2), np.float32)
         self._started = time.monotonic()
+        self._kept_options: dict[str, Any] = {}
 
     @property
     def robots(self) -> RobotVectorEnv:
@@ -59,21 +60,37 @@ class BatchVecEnv(VecEnv):
         Returns:
             Observations, float32 (robots, n).
 
+        """
+        seeds = None if self._seeds == [None] * self.num_envs else self._seeds
+        observations: NDArray[np.float32]
+        observations, _ = self._batch.reset(seed=seeds, options=self._kept_options)
+        self._reset_seeds()
+        return observations
+
+    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
+        """Set the options of `RobotVectorEnv.reset` for all later episodes, as for a curriculum.
+
+        Running episodes go on.
+
+        Args:
+            options: One dict, whose values may have a row for each robot. None removes the options.
+
         Raises:
-            ConfigError: An option is unknown, or robots have options of their own: use one dict,
-                whose values may have one row per robot.
+            ConfigError: An option is unknown, or it is a list, or "reset_mask": all robots are
+                reset.
         """
         # A batch is reset as a whole.
-        options = self._options[0]
-        if self._options != [options] * self.num_envs:
+        options = options or {}
+        if isinstance(options, list):
             raise ConfigError(
                 "set_options: give one dict for all robots, whose values may have a row for each"
             )
-        seeds = None if self._seeds == [None] * self.num_envs else self._seeds
-        observations: NDArray[np.float32] = self._batch.reset(seed=seeds, options=options)[0]
-        self._reset_seeds()
-        self._reset_options()
-        return observations
+        if "reset_mask" in options:
+            raise ConfigError("set_options: leave out reset_mask: all robots are reset")
+
+        # A training resets its robots only once, so the batch needs the options at once.
+        self.robots.set_options(options)
+        self._kept_options = dict(options)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store actions (robots, 2) for `step_wait`."""

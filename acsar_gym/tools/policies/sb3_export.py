@@ -53,6 +53,8 @@ def _decide_by_memory(policy: Any, observation: Any, *states: Any) -> Any:
     features = policy.extract_features(observation, policy.pi_features_extractor)
     latent, next_states = policy.lstm_actor(features.unsqueeze(0), states)
     action = policy.action_net(policy.mlp_extractor.forward_actor(latent.squeeze(0)))
+    if policy.squash_output:  # with use_sde, if the recipe asks for it
+        action = torch.tanh(action)
     return action, *next_states
 
 
@@ -182,37 +184,56 @@ def _describe(*spaces: Space[Any]) -> str:
 
 
 def _find_statistics(data: Mapping[str, Any], path: Path, named: str | Path | None) -> Path | None:
-    """Return the VecNormalize file to use. PolicyError if the model needs one that isn't there."""
+    """Return the VecNormalize file to use.
+
+    Raises:
+        PolicyError: The model needs one that isn't there, or it isn't known whether it needs the
+            one that is there.
+    """
     if named is not None:
         return None if str(named) == "none" else Path(named)
-    if not _is_normalized(data):
+    is_normalized = _is_normalized(data)
+    if is_normalized is False:
         return None
+
     # Next to the model, as its own example and RL Zoo save it.
-    for pattern in STATISTICS_PATTERNS:
-        for file in sorted(path.parent.glob(pattern)):
-            return file
-    raise PolicyError(
-        "was trained with a VecNormalize, whose file isn't beside it: convert it with 'acsar-gym "
-        f"policy {path} --out policy.onnx --trust --vecnormalize FILE', or --vecnormalize none if "
-        "it changed only rewards"
-    )
+    files = [file for pattern in STATISTICS_PATTERNS for file in sorted(path.parent.glob(pattern))]
+    if is_normalized and files:
+        return files[0]
+    convert = f"'acsar-gym policy {path} --out policy.onnx --trust --vecnormalize"
+    if is_normalized:
+        raise PolicyError(
+            f"was trained with a VecNormalize, whose file isn't beside it: convert it with "
+            f"{convert} FILE', or --vecnormalize none if it changed only rewards"
+        )
+    if files:
+        raise PolicyError(
+            f"{files[0]} is beside it: if it was trained with that VecNormalize, convert it with "
+            f"{convert} {files[0]}', otherwise with --vecnormalize none"
+        )
+    return None
 
 
-def _is_normalized(data: Mapping[str, Any]) -> bool:
+def _is_normalized(data: Mapping[str, Any]) -> bool | None:
     """Find out whether a model was trained with a VecNormalize that changes observations.
 
     A zip contains the last observation as the network got it, and the original one if there was a
     VecNormalize. SAC, TD3, DDPG and TQC always have an original one, so there what the network got
     must have left the observation space.
+
+    Returns:
+        None if the zip doesn't show it, as after loading a model and saving it again.
     """
     normalized = data.get("_last_obs")
     original = data.get("_last_original_obs")
-    if normalized is None or original is None or np.array_equal(normalized, original):
+    if normalized is None:
+        return None
+    if original is None or np.array_equal(normalized, original):
         return False
     # Normalized numbers are seldom all within the bounds of the original ones.
     space = data["observation_space"]
     is_outside = bool(((normalized < space.low) | (normalized > space.high)).any())
-    return is_outside or "replay_buffer_class" not in data
+    return True if is_outside or "replay_buffer_class" not in data else None
 
 
 def read_normalizer(path: Path, width: int) -> Normalizer | None:

@@ -41,7 +41,10 @@ RECORDED_LIBRARIES = ("torch", "stable-baselines3", "sb3-contrib", "numba")
 """Their versions are recorded, in addition to those of every result."""
 GIT_TIMEOUT = 5.0
 """Time limit of git [s]."""
-CHANGEABLE_OPTIONS = {"steps", "target", "threads", "progress", "device", "resume", "trust"}
+CHANGEABLE_OPTIONS = {
+    *("steps", "target", "threads", "progress", "checkpoint_seconds", "device"),
+    *("resume", "trust"),
+}
 """Options that may change when a training goes on."""
 
 
@@ -92,6 +95,16 @@ def begin_config(folder: Path, key: str, recipe: dict[str, Any], options: Traini
             file.write(reading.format_yaml({key: recipe, RUN_KEY: facts}))
     except FileExistsError as error:
         raise ConfigError(f"--out {folder}: another training has it: name another") from error
+
+
+def update_config(folder: Path, options: TrainingOptions) -> None:
+    """Write the changed options of a training that goes on to config.yml, for the next time."""
+    file = folder / CONFIG_FILE
+    config = reading.parse_yaml(reading.decode_text(reading.read_file(file, MAX_CONFIG_BYTES)))
+    recorded = CHANGEABLE_OPTIONS - {"resume", "trust"}
+    config[RUN_KEY]["options"] |= options.model_dump(mode="json", include=recorded)
+    with reading.replace_file(file) as new:
+        new.write_text(reading.format_yaml(config), encoding="utf-8")
 
 
 def describe_origin(options: TrainingOptions) -> dict[str, Any]:
@@ -171,12 +184,17 @@ def find_models(folder: Path) -> list[Path]:
 
 
 def count_steps(path: Path) -> int:
-    """Return the steps of a model. -1 if its zip isn't complete. Runs no code."""
+    """Return the steps of a model. -1 if its zip isn't complete."""
+    return int(read_data(path).get("num_timesteps", -1))
+
+
+def read_data(path: Path) -> dict[str, Any]:
+    """Return the numbers and texts in a model's zip. Empty if it isn't complete. Runs no code."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return int(json.loads(archive.read("data"))["num_timesteps"])
+            return dict(json.loads(archive.read("data")))
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
-        return -1
+        return {}
 
 
 def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOptions, Path]:

@@ -111,9 +111,9 @@ class TrainingPlan:
 
     @property
     def update_hint(self) -> str:
-        """How few updates of the policy PPO will make. Empty if they are enough."""
+        """How few updates of the policy there will be. Empty if they are enough."""
         steps = self.recipe.steps
-        rollout = self.recipe.values.get("n_steps", 1)
+        rollout = self.recipe.count_rollout_steps(self.options.algo)
         updates = math.ceil(steps / rollout / self.recipe.robots)
         robots = int(steps / rollout / FEW_UPDATES)
         if updates >= FEW_UPDATES or robots < 1:

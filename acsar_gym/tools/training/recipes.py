@@ -12,10 +12,14 @@ import importlib
 import inspect
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args, get_origin
+
+from pydantic import ConfigDict, create_model
 
 from acsar_gym import reading
+from acsar_gym.config.section import Section
 from acsar_gym.errors import ConfigError, format_error, require_extra, show_value
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.training.options import ALGORITHMS, parse_count
@@ -36,6 +40,8 @@ DEFAULT_KEY = "default"
 """Key of the hyperparameters for envs that have none of their own."""
 OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
 """Arguments of an env that `train` sets by its own options."""
+PLAIN_TYPES = (float, int, bool, str, type(None))
+"""Types of an algorithm's arguments that YAML has."""
 OWN_KEYS = ("n_timesteps", "n_envs", "policy", "env_kwargs", "vec_env_wrapper")
 """Keys that aren't arguments of the algorithm."""
 
@@ -75,6 +81,14 @@ class Recipe:
         kwargs = self.values.get("env_kwargs") or {}
         return {name: value for name, value in kwargs.items() if name != "link"}
 
+    def count_rollout_steps(self, algo: str) -> int:
+        """Return the steps of a robot between two updates. 1 if the recipe counts episodes."""
+        parameters = inspect.signature(load_algorithm(algo)).parameters
+        name = "n_steps" if "n_epochs" in parameters else "train_freq"
+        value = self.values.get(name, parameters[name].default)
+        number, unit = value if isinstance(value, list | tuple) else (value, "step")
+        return int(number) if unit == "step" else 1
+
     def with_changes(self, **changes: Any) -> Recipe:
         """Return a recipe with some hyperparameters changed. None changes nothing."""
         changes = {name: value for name, value in changes.items() if value is not None}
@@ -96,6 +110,8 @@ class Recipe:
         arguments |= import_classes(policy, self.package)
         policy_kwargs = arguments.get("policy_kwargs") or {}
         arguments["policy_kwargs"] = import_classes(policy_kwargs, self.package)
+        if isinstance(arguments.get("train_freq"), list):  # YAML has no tuples
+            arguments["train_freq"] = tuple(arguments["train_freq"])
 
         # A minibatch can't be larger than a rollout, which is smaller with fewer robots.
         rollout = arguments.get("n_steps", 0) * self.robots
@@ -105,14 +121,16 @@ class Recipe:
 
     def import_wrappers(self) -> list[Any]:
         """Return the functions that wrap the batch."""
-        # RL Zoo takes a name or a list of them.
-        names = self.values.get("vec_env_wrapper") or []
-        names = names if isinstance(names, list) else [names]
-        return [
-            import_class("vec_env_wrapper", str(name), self.package)
-            for name in names
-            if name != BATCH_WRAPPER
-        ]
+        # RL Zoo takes a name, {name: arguments}, or a list of both.
+        items = self.values.get("vec_env_wrapper") or []
+        wrappers = []
+        for item in items if isinstance(items, list) else [items]:
+            pairs = item.items() if isinstance(item, dict) else [(item, {})]
+            for name, arguments in pairs:
+                if name != BATCH_WRAPPER:
+                    wrapper = import_class("vec_env_wrapper", str(name), self.package)
+                    wrappers.append(partial(wrapper, **(arguments or {})))
+        return wrappers
 
     def check(self, algo: str) -> None:
         """Check keys and values, and import the classes that are allowed.
@@ -120,6 +138,8 @@ class Recipe:
         Raises:
             ConfigError: The algorithm has no such argument, or a value can't be used.
         """
+        algorithm = load_algorithm(algo)
+        check_types(algorithm, self.values)
         for name, value in self.env_kwargs.items():
             if name in OPTION_ARGUMENTS:
                 raise ConfigError(f"env_kwargs: {name}: leave it out: train's options set it")
@@ -127,7 +147,32 @@ class Recipe:
         # These import classes, and find out what the algorithm doesn't take, before any is made.
         self.import_wrappers()
         arguments = self.build_arguments()
-        inspect.signature(load_algorithm(algo)).bind(env=None, **arguments)
+        inspect.signature(algorithm).bind(env=None, **arguments)
+
+
+class _Values(Section):
+    """Values of a recipe, with their types."""
+
+    model_config = ConfigDict(strict=True)
+    policy: str = ""
+    env_kwargs: dict[str, Any] | None = None
+
+
+def check_types(algorithm: type[BaseAlgorithm], values: Mapping[str, Any]) -> None:
+    """Raise ConfigError for a value of another type than an algorithm takes.
+
+    Algorithms that get one fail only in the middle of a training.
+    """
+    # Schedules and classes have texts in a recipe, so only plain types are checked.
+    types: dict[str, Any] = {}
+    for name, parameter in inspect.signature(algorithm).parameters.items():
+        kinds = get_args(parameter.annotation) or (parameter.annotation,)
+        if all(kind in PLAIN_TYPES or get_origin(kind) is dict for kind in kinds):
+            types[name] = (parameter.annotation, None)
+
+    checked = {*types, *_Values.model_fields}
+    model = create_model(algorithm.__name__, __base__=_Values, **types)
+    model.model_validate({name: value for name, value in values.items() if name in checked})
 
 
 def read_recipe(algo: str, env_id: str, file: Path | None = None, package: str = "") -> Recipe:

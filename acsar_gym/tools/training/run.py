@@ -19,12 +19,18 @@ from acsar_gym.envs import ids
 from acsar_gym.errors import (
     AcsarError,
     ConfigError,
+    PolicyError,
     check_extra,
     escape_unprintable,
     explain_error,
     format_error,
 )
-from acsar_gym.tools.policies.document import describe_policy
+from acsar_gym.tools.policies.document import (
+    DOCUMENT_KEY,
+    check_observation,
+    describe_policy,
+    parse_document,
+)
 from acsar_gym.tools.policies.zip_policy import check_trust
 from acsar_gym.tools.training import folders
 from acsar_gym.tools.training.options import FIRST_HELD_OUT_SEED, TrainingOptions
@@ -67,6 +73,10 @@ def train(options: TrainingOptions) -> TrainingResult:
         options, start = folders.resume_options(options, start)
     elif options.out is not None:
         folders.check_empty(options.out)
+    if start is not None:
+        if not start.exists():
+            raise ConfigError(f"--resume {start}: no such file or folder")
+        check_trust(start, trust=options.trust)
     plan = TrainingPlan.of(options)
 
     # Batches: one to learn in, and one with worlds that the training never sees.
@@ -88,11 +98,14 @@ def train(options: TrainingOptions) -> TrainingResult:
             print(f"going on at {done}, with new episodes", flush=True)
         else:
             model.num_timesteps = 0
-            key = ids.strip_module(plan.env_id)
-            folders.begin_config(out, key, plan.recipe.values, options)
 
         # Until here SIGTERM ends the program, as there is nothing to save.
         try:
+            if is_resumed:
+                folders.update_config(out, options)
+            else:
+                key = ids.strip_module(plan.env_id)
+                folders.begin_config(out, key, plan.recipe.values, options)
             with sigterm_interrupts():
                 return _learn_and_save(plan, model, env, held_out_env, out)
         except OSError as error:
@@ -181,12 +194,16 @@ def make_model(
         cause = "has no CUDA device that it can use" if torch.version.cuda else "is without CUDA"
         raise ConfigError(f"--device cuda: torch {torch.__version__} {cause}: leave --device out")
     if start is not None:
-        check_trust(start, trust=options.trust)
+        check_start(start, env)
 
     # The recipe's wrappers may change what the policy observes.
     batch: VecEnv = BatchVecEnv(env)
     for wrapper in plan.recipe.import_wrappers():
-        batch = wrapper(batch)
+        try:
+            batch = wrapper(batch)
+        except TypeError as error:
+            problem = f"{plan.recipe.place}: vec_env_wrapper: {format_error(error)}"
+            raise ConfigError(problem) from error
 
     # A training that goes on doesn't repeat the episodes of its start.
     seed = options.seed + (folders.count_steps(start) if start else 0)
@@ -203,8 +220,9 @@ def make_model(
             model = algorithm(env=batch, **recipe | arguments)
         else:
             model = algorithm.load(start, batch, **arguments)
+            # A new training may have another task, for which the transitions would be wrong.
             buffer = start.with_name(folders.BUFFER_FILE)
-            if buffer.exists():
+            if start.is_relative_to(out) and buffer.exists():
                 model.load_replay_buffer(buffer)
     except AcsarError:
         raise
@@ -215,6 +233,17 @@ def make_model(
         raise ConfigError(f"{problem}: {format_error(error)}") from error
     result: BaseAlgorithm = model
     return result
+
+
+def check_start(start: Path, env: RobotVectorEnv) -> None:
+    """Raise PolicyError if a model was trained on other observations. Others have no label."""
+    label = folders.read_data(start).get(DOCUMENT_KEY)
+    if label is None:
+        return
+    try:
+        check_observation(parse_document({DOCUMENT_KEY: str(label)}), env.task, env.sensors)
+    except PolicyError as error:
+        raise PolicyError(f"{start}: {error}") from error
 
 
 def print_score(plan: TrainingPlan, score: Score, env: RobotVectorEnv, policy: Path) -> None:
@@ -265,8 +294,9 @@ def sigterm_interrupts() -> Iterator[None]:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt("SIGTERM")
 
-    # Only the main thread may set handlers, as in a job of Ray.
-    if threading.current_thread() is not threading.main_thread():
+    # Only the main thread may set handlers, as in a job of Ray. A signal that is ignored stays so.
+    is_main = threading.current_thread() is threading.main_thread()
+    if not is_main or signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
         yield
         return
     handler = signal.signal(signal.SIGTERM, interrupt)

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from acsar_gym.config.fleet import make_fleet
-from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.errors import ConfigError, explain_error, show_value
 from acsar_gym.tools.evaluation import report
 from acsar_gym.tools.jobs import run_jobs
 from acsar_gym.tools.training import folders
@@ -23,6 +23,7 @@ from acsar_gym.tools.training.run import require_training, train
 
 MAX_SEEDS = 1000
 """Most seeds of one command."""
+TABLE_FILE = "seeds.csv"
 
 
 def parse_seeds(text: str) -> list[int]:
@@ -66,6 +67,12 @@ def train_seeds(options: TrainingOptions) -> dict[int, Score]:
     make_fleet(single.robot)
 
     out = folders.make_folder(options.out, options.env.rpartition("/")[2]).resolve()
+    # Only one of two commands that started at the same time can create the file.
+    try:
+        (out / TABLE_FILE).touch(exist_ok=False)
+    except OSError as error:
+        reason = explain_error(error)
+        raise ConfigError(f"--out {out}: {TABLE_FILE} can't be created: {reason}") from error
     jobs = [single.model_copy(update={"seed": seed, "out": out / f"seed-{seed}"}) for seed in seeds]
 
     # Scores are printed in the order in which the trainings end.
@@ -108,4 +115,4 @@ def _summarize(scores: Mapping[int, Score], out: Path) -> None:
     behind = 100.0 * (median - min(rates))
     print(f"median {median:.1%}, worst {min(rates):.1%}: {behind:.1f} points below the median")
     rows = [(seed, *score) for seed, score in sorted(scores.items())]
-    folders.write_table(out / "seeds.csv", ("seed", *Score._fields), rows)
+    folders.write_table(out / TABLE_FILE, ("seed", *Score._fields), rows)

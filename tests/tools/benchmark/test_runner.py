@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from policy_tools import relabelled
 
-from acsar_gym.errors import AcsarError, CancelledError, ConfigError
+from acsar_gym.errors import AcsarError, CancelledError, ConfigError, PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
 from acsar_gym.tools.benchmark.plan import Agent, Cell, Plan, choose_agents
@@ -152,6 +153,15 @@ def test_choose_agents_takes_policies_of_a_user(module: str) -> None:
         ("ours", ID, 1),
         ("ours", ID, 2),
     ]
+
+
+def test_choose_agents_refuses_trained_policies_of_other_packages(tmp_path: Path) -> None:
+    """Without a message their rows would be missing."""
+    file = tmp_path / "ours" / "seed-1" / "policy.onnx"
+    file.parent.mkdir(parents=True)
+    relabelled(file, env="mine/Task-v0")
+    with pytest.raises(PolicyError, match=r"made for 'mine/Task-v0', .*name it with --env"):
+        choose(trained=tmp_path)
 
 
 def test_open_folder_hashes_what_an_agent_imports(module: str, tmp_path: Path) -> None:

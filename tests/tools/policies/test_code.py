@@ -160,6 +160,10 @@ def test_callable_policy_reports_errors_of_classes_in_one_line(
     assert "\n" not in str(raised.value)
 
 
-def test_callable_policy_imports_files_of_its_folder(mine: Path) -> None:
-    policy = runs.load_policy(f"{mine}:act", trust=False)
+def test_callable_policy_imports_and_finds_files_of_its_folder(
+    mine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(mine.parent)
+    policy = runs.load_policy("mine.py:act", trust=False)
     assert policy(np.array([1.0, 0.5, 0.0], np.float32)) == pytest.approx([0.4, 0.0])
+    assert sys.modules["acsar_gym_policy_mine"].__file__ == str(mine)

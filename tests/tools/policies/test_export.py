@@ -62,6 +62,7 @@ def test_save_keeps_the_decisions_with_normalizer_and_without_dropout(
         ({"outputs": 3}, "(1, 3)"),
         ({"env_id": "path_follow"}, "(batch, 18)"),
         ({"normalizer": (0.0, 0.0, None)}, "std"),
+        ({"normalizer": (0.0, np.inf, None)}, "std"),
         ({"normalizer": (np.zeros(5), 1.0, None)}, "doesn't take observations"),
         ({"normalizer": [0.0]}, "normalizer: must be (mean, std)"),
         ({"goals": 1}, "goals"),

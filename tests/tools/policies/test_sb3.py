@@ -63,7 +63,8 @@ def test_batch_vec_env_reports_the_statistics_of_monitor_and_terminal_observatio
     assert episodes > 20
 
 
-def test_set_options_chooses_the_worlds_until_the_reset_after_the_next() -> None:
+def test_set_options_holds_until_it_is_called_again() -> None:
+    """Also after a reset, and without one for the episodes that start next, as in a curriculum."""
     batch = ObstacleGoalVectorEnv(
         3,
         autoreset_mode="SameStep",
@@ -72,20 +73,26 @@ def test_set_options_chooses_the_worlds_until_the_reset_after_the_next() -> None
         randomization={"friction": (0.4, 0.6), "motor_gain": (0.9, 1.1)},
     )
     env = wrapped(batch)
-    env.seed(0)
-    env.set_options({"world": [1001, 1002, 1004]})
 
-    worlds = []
+    def worlds(steps: int) -> list[int]:
+        ends = [
+            info for _ in range(steps) for info in env.step(np.zeros((3, 2), np.float32))[3] if info
+        ]
+        assert all(0.4 <= end["drawn_friction"] <= 0.6 for end in ends)
+        assert all(end["drawn_motor_gain"].shape == (4,) for end in ends)
+        return [end["world"] for end in ends]
+
+    env.seed(0)
+    env.set_options({"world": 1003})
     for _ in range(2):
         env.reset()
-        for _ in range(6):
-            infos = [info for info in env.step(np.zeros((3, 2), np.float32))[3] if info]
-            worlds += [info["world"] for info in infos]
-            assert all(0.4 <= info["drawn_friction"] <= 0.6 for info in infos)
-            assert all(info["drawn_motor_gain"].shape == (4,) for info in infos)
+        assert worlds(4) == [1003] * 6
+    env.set_options({"world": [1001, 1002, 1004]})
+    assert worlds(4)[3:] == [1001, 1002, 1004]
+    env.set_options()
+    env.reset()
+    assert len(set(worlds(6))) > 3
     env.close()
-    assert worlds[:9] == [1001, 1002, 1004] * 3
-    assert len(set(worlds[9:])) > 3
 
 
 def test_batch_vec_env_refuses_other_batches_and_options() -> None:
@@ -95,9 +102,14 @@ def test_batch_vec_env_refuses_other_batches_and_options() -> None:
         make_batch("point_goal", 2, goals=1)
     env = make_batch("point_goal", 2, goal_distance=(0.3, 0.6))
     assert env.reset().shape == (2, 7)
-    env.set_options([{"world": 1}, {"world": 2}])
-    with pytest.raises(ConfigError, match="one dict for all robots"):
-        env.reset()
+    for options, message in (
+        ([{"world": 1}, {"world": 2}], "one dict for all robots"),
+        ({"reset_mask": [True, False]}, "all robots are reset"),
+        ({"goals": 1}, "goals"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            env.set_options(options)
+    env.reset()
     env.close()
     for batch, message in (
         (PointGoalVectorEnv(2), "SameStep"),

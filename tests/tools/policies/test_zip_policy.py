@@ -145,6 +145,11 @@ def test_zip_policy_contains_the_statistics_of_vecnormalize(tmp_path: Path) -> N
         plain, _ = model.predict(observation, deterministic=True)
         for policy, action in zip(policies, (expected, expected, plain), strict=True):
             assert policy(observation) == pytest.approx(action, abs=1e-5)
+    # A model that was loaded and saved again doesn't show what it was trained with.
+    beside.rename(tmp_path / "vecnormalize.pkl")
+    model._last_obs = None
+    model.save(path)
+    assert "vecnormalize.pkl is beside it: if it was trained" in refused(path, env_id="point_goal")
     bad = tmp_path / "other.pkl"
     bad.write_bytes(pickle.dumps({"a": 1}))
     for file, message in ((bad, "contains a dict, not a VecNormalize"), (path, "not a VecNorm")):
@@ -160,3 +165,22 @@ def test_zip_policy_notices_vecnormalize_of_sac(norm_obs: bool, tmp_path: Path) 
         assert "was trained with a VecNormalize" in refused(path, env_id="point_goal")
     else:
         ZipPolicy(path, trust=True, env_id="point_goal")
+
+
+def test_zip_policy_squashes_the_actions_of_a_recurrent_model(tmp_path: Path) -> None:
+    from sb3_contrib import RecurrentPPO
+
+    from acsar_gym.tools.policies.sb3 import make_batch
+
+    kwargs = {"squash_output": True, "net_arch": [8], "lstm_hidden_size": 8}
+    env = make_batch("point_goal", 1)
+    model = RecurrentPPO("MlpLstmPolicy", env, use_sde=True, device="cpu", policy_kwargs=kwargs)
+    for weight in model.policy.parameters():
+        weight.data.normal_(0.0, 0.8)
+    model.save(tmp_path / "model.zip")
+    env.close()
+
+    policy = ZipPolicy(tmp_path / "model.zip", trust=True, env_id="point_goal")
+    observation = np.full(7, 0.5, np.float32)
+    expected, _ = model.predict(observation, deterministic=True)
+    assert policy(observation) == pytest.approx(expected, abs=1e-5)

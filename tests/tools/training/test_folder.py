@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 from disk_tools import full_disk
-from policy_tools import tiny
+from policy_tools import save, tiny
 
 from acsar_gym.errors import AcsarError, ConfigError
 from acsar_gym.tools.policies import OnnxPolicy
@@ -106,6 +106,10 @@ def test_resume_goes_on_at_the_newest_model(
 def test_resume_refuses_other_options_and_folders(finished: Path, tmp_path: Path) -> None:
     with pytest.raises(AcsarError, match="pass --trust"):
         train(TrainingOptions(resume=finished))
+    for start, message in ((finished / "model.zip", "pass --trust"), (tmp_path / "no", "no such")):
+        with pytest.raises(AcsarError, match=message):
+            train(tiny(tmp_path / "new", resume=start))
+    assert not (tmp_path / "new").exists()
     with pytest.raises(AcsarError, match=f"^--algo sac: {finished} is of a training with ppo"):
         resume(finished, algo="sac")
     for text, message in (
@@ -130,12 +134,24 @@ def test_resume_starts_a_new_training_at_a_model(finished: Path, tmp_path: Path)
     assert folders.count_steps(out / "model.zip") == 256
     for options, message in (
         ({"trust": False}, "pass --trust"),
-        ({"env": "path_follow"}, "isn't a model of PPO for this env"),
+        ({"env": "path_follow"}, r"model\.zip: observation\[0\] is goal_distance 0 to 2 in the"),
     ):
         settings = {"steps": 256, "resume": start, "trust": True, **options}
         with pytest.raises(AcsarError, match=message) as error:
             train(tiny(tmp_path / next(iter(options)), **settings))
         assert "\n" not in str(error.value)
+
+
+def test_resume_leaves_the_replay_buffer_of_another_training(tmp_path: Path) -> None:
+    """It would be of other robots, and perhaps of another task."""
+    start = save(tmp_path / "model.zip", "SAC", buffer_size=10)
+    (tmp_path / "replay_buffer.pkl").write_bytes(b"no pickle")
+    out = tmp_path / "out"
+    train(tiny(out, algo="sac", steps=8, resume=start, trust=True))
+    assert folders.count_steps(out / "model.zip") == 8
+    with pytest.raises(AcsarError, match="isn't a model of PPO for this env") as error:
+        train(tiny(tmp_path / "ppo", steps=8, resume=start, trust=True))
+    assert "\n" not in str(error.value)
 
 
 def test_resume_takes_more_steps_and_writes_a_missing_policy(
@@ -147,7 +163,9 @@ def test_resume_takes_more_steps_and_writes_a_missing_policy(
     resume(folder)
     assert (folder / "policy.onnx").exists()
     assert len(curve(folder)) == len(curve(finished))
-    assert resume(folder, steps=512).score.steps == 512
+    assert resume(folder, steps=512, checkpoint_seconds=5.0).score.steps == 512
+    options = yaml.safe_load((folder / "config.yml").read_text())["run"]["options"]
+    assert (options["steps"], options["checkpoint_seconds"]) == (512, 5.0)  # if it is killed now
     assert "going on at 256 of 512 steps, with new episodes\n" in capsys.readouterr().out
     assert (folder / "learning_curve.png").read_bytes().startswith(b"\x89PNG")
 
@@ -187,6 +205,16 @@ def test_train_seeds_gives_every_seed_a_folder_and_a_row(
     for seed in rows:
         assert f"seed {seed}" in (tmp_path / f"seed-{seed}-log.txt").read_text(encoding="utf-8")
         assert (tmp_path / f"seed-{seed}" / "policy.onnx").exists()
+
+
+def test_train_seeds_refuses_the_folder_of_another_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Which has started at the same time. A seed without a model would delete its folder."""
+    monkeypatch.setattr(folders, "check_empty", lambda out: None)
+    (tmp_path / "seeds.csv").touch()
+    with pytest.raises(ConfigError, match=f"--out {tmp_path}: seeds.csv can't be created: File"):
+        train_seeds(tiny(tmp_path, seeds="3,5", steps=1, robots=4))
 
 
 def test_parse_seeds_reads_ranges_and_lists() -> None:

@@ -39,6 +39,9 @@ def test_read_recipe_has_recipes_for_every_env_and_reads_config_files(
         (GOOD.replace("n_steps", "n_step"), "unexpected keyword argument 'n_step'"),
         (GOOD.replace("1e3", "0"), "n_timesteps: must be at least 1"),
         (GOOD.replace("1e3", "many"), "n_timesteps: could not convert string to float: 'many'"),
+        (GOOD.replace("n_steps: 8", "gamma: high"), "gamma = 'high': must be a valid number"),
+        (GOOD.replace("n_steps: 8", "use_sde: 1"), "use_sde = 1: must be"),
+        (GOOD.replace("n_steps: 8", "env_kwargs: [1]"), "env_kwargs = [1]: must be"),
         (GOOD.replace("n_steps: 8", "learning_rate: lin_x"), "convert string to float: 'x'"),
         (
             GOOD.replace("n_steps: 8", "policy_kwargs: {activation_fn: torch.nn.ReLUU}"),
@@ -82,6 +85,27 @@ def test_read_recipe_imports_nothing_that_a_stranger_names(
     assert "\n" not in str(error.value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["evil.py", "mine.yml"]
     assert "evil" not in sys.modules
+
+
+def test_import_wrappers_gives_them_their_arguments(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "my_wrappers.py").write_text("def scale(env, factor): return env * factor\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    file = tmp_path / "mine.yml"
+    wrappers = [recipes.BATCH_WRAPPER, {"my_wrappers.scale": {"factor": 3}}]
+    file.write_text(yaml.safe_dump({"default": {"n_timesteps": 8, "vec_env_wrapper": wrappers}}))
+    recipe = recipes.read_recipe("ppo", "mine/Task-v0", file, "my_wrappers")
+    (scale,) = recipe.import_wrappers()
+    assert scale(2) == 6
+
+
+def test_build_arguments_takes_a_list_for_a_tuple(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yml"
+    file.write_text("default: {n_timesteps: 8, train_freq: [2, episode]}\n")
+    arguments = recipes.read_recipe("sac", "mine/Task-v0", file).build_arguments()
+    assert arguments["train_freq"] == (2, "episode")
 
 
 def test_build_arguments_makes_schedules_and_imports_from_the_package_of_the_env(

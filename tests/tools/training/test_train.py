@@ -22,7 +22,7 @@ from acsar_gym.resources import AGENTS
 from acsar_gym.tools.policies import OnnxPolicy, ZipPolicy
 from acsar_gym.tools.training.options import TrainingOptions
 from acsar_gym.tools.training.plan import TrainingPlan
-from acsar_gym.tools.training.run import train
+from acsar_gym.tools.training.run import sigterm_interrupts, train
 from acsar_gym.vector.threads import usable_cores
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -108,6 +108,19 @@ def test_train_saves_at_sigterm(tmp_path: Path) -> None:
     assert (tmp_path / "model.zip").stat().st_size > 1000
 
 
+def test_sigterm_interrupts_unless_it_is_ignored() -> None:
+    handler = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        with sigterm_interrupts():
+            signal.raise_signal(signal.SIGTERM)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        with pytest.raises(KeyboardInterrupt, match="SIGTERM"), sigterm_interrupts():
+            signal.raise_signal(signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+
+
 def test_train_ends_at_its_target_and_prints_the_next_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -163,6 +176,13 @@ def test_update_hint_reports_few_updates(options: dict[str, Any], hint: str) -> 
     line = TrainingPlan.of(TrainingOptions(threads=1, **options)).update_hint
     assert hint in line
     assert bool(line) == bool(hint)
+
+
+def test_update_hint_knows_the_default_of_the_algorithm(tmp_path: Path) -> None:
+    recipe = tmp_path / "mine.yml"
+    recipe.write_text("default: {n_timesteps: 300000, n_envs: 64}", encoding="utf-8")
+    line = TrainingPlan.of(TrainingOptions(conf_file=recipe, threads=1)).update_hint
+    assert "64 robots are only 3 updates" in line  # of 2,048 steps
 
 
 def test_training_plan_takes_the_ranges_of_the_recipe(tmp_path: Path) -> None:
