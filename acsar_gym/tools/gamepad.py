@@ -53,6 +53,9 @@ class Controls:
         axes: Stick and triggers by their codes.
         backward: Code of the left trigger.
         forward: Code of the right trigger.
+
+    Attributes:
+        has_lost_events: Whether events were lost, so that the pad has to be opened again.
     """
 
     def __init__(self, axes: Mapping[int, AbsInfo], backward: int, forward: int) -> None:
@@ -63,17 +66,15 @@ class Controls:
         self._levels = {code: self._measure(code, axes[code].value) for code in codes}
         self._held = False
         self._neutral = False
+        self.has_lost_events = False
 
     def take(self, events: Iterable[InputEvent]) -> list[PadEvent]:
-        """Take events, and return the buttons that were pressed.
-
-        Raises:
-            OSError: The kernel dropped events, so that the pad has to be opened again.
-        """
+        """Take events, and return the buttons that were pressed before events were dropped."""
         pressed = []
         for event in events:
             if event.type == ecodes.EV_SYN and event.code == ecodes.SYN_DROPPED:
-                raise OSError("events were dropped")
+                self.has_lost_events = True
+                break
             if event.type not in (ecodes.EV_KEY, ecodes.EV_ABS):
                 continue
 
@@ -174,9 +175,13 @@ class Gamepad:
         happened = []
         try:
             with contextlib.suppress(BlockingIOError):
-                while True:
+                while not self.controls.has_lost_events:
                     happened += self.controls.take(self._device.read())
         except OSError:  # the cable was pulled
+            self.controls.has_lost_events = True
+
+        # The robot is at rest until the pad is opened again, and LB pressed.
+        if self.controls.has_lost_events:
             self.close()
             self.controls.disarm()
             self._wait = REOPEN_EVERY

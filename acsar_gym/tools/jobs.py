@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import socket
+import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator
 from functools import partial
@@ -85,13 +86,34 @@ def _run_in_processes(call: Any, jobs: Any, workers: int) -> Results[Any]:
 
     with joblib.parallel_config("loky", n_jobs=workers, inner_max_num_threads=1):
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1)
-        results = parallel(joblib.delayed(call)(*job) for job in jobs)
-    with warnings.catch_warnings(), contextlib.closing(results):
-        warnings.simplefilter("ignore")  # joblib's, about jobs that are ended
-        try:
-            yield from results
-        except BrokenProcessPool as error:
-            raise _explain_death(error) from error
+        with _interrupts_ignored():  # as the processes do that start here
+            results = parallel(joblib.delayed(call)(*job) for job in jobs)
+    try:
+        for result in results:  # noqa: UP028 - `yield from` would close it before the `finally`
+            yield result
+    except BrokenProcessPool as error:
+        raise _explain_death(error) from error
+    finally:
+        # Only here, so that the caller's warnings between two results are shown.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # joblib's, about jobs that are ended
+            results.close()
+
+
+@contextlib.contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C, also in processes that start inside the block: it reaches them as well.
+
+    They would print where they were interrupted, while they import what their jobs need.
+    """
+    if threading.current_thread() is not threading.main_thread():  # signals are the main thread's
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 def _run_on_cluster(call: Any, jobs: Any, workers: int, address: str) -> Results[Any]:

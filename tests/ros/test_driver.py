@@ -318,6 +318,7 @@ def test_driver_stops_by_its_services_and_a_refused_command(
         diagnostics.clear()
         driver.drive_until(lambda: bool(diagnostics) and driver.stands(), "a stop")
         assert driver.read_diagnostics()["emergency stop"] == "true"
+        assert float(driver.read_diagnostics()["latest tick [s]"]) > 0.0
         assert diagnostics[-1].status[0].level == b"\x02"
         assert client.call(Trigger, "acsar_driver/release").success
         driver.drive_until(driver.turns, "turning wheels")
@@ -361,7 +362,10 @@ def test_driver_reset_changes_the_scene_and_stamps_grow(
 def test_driver_parameters_of_a_file_and_options_count(
     start_driver: StartDriver, client: Client, tmp_path: Path
 ) -> None:
+    robot_file = tmp_path / "robot.yaml"
+    RobotConfig.preset("acsar").with_(ros2={"wheel_separation": 0.5}).save(robot_file)
     values = {
+        "robot": str(robot_file),
         "odom_frame": "odometry",
         "base_frame": "base_footprint",
         "lidar_frame": "laser",
@@ -385,6 +389,7 @@ def test_driver_parameters_of_a_file_and_options_count(
     answer = client.call(GetParameters, "acsar_driver/get_parameters", request)
     assert [*map(parameter_value_to_python, answer.values)] == ["planar", 0.06, 0.4]
     assert "wheel_radus: doesn't exist; did you mean 'wheel_radius'?" in driver.program.printed
+    assert "are another controller's" in driver.program.printed
     change = Parameter("wheel_radius", value=0.3).to_parameter_msg()
     answer = client.call(
         SetParameters, "acsar_driver/set_parameters", SetParameters.Request(parameters=[change])
@@ -412,6 +417,8 @@ def test_driver_parameters_of_a_file_and_options_count(
         (("-p", "wheel_radius:=abc"), "wheel_radius = 'abc': must be a valid number"),
         (("-p", "publish_tf:=1"), "publish_tf = 1: must be of type bool"),
         (("-p", "twist_covariance_diagonal:=[0.1]"), "must be six variances"),
+        (("-p", "base_frame:=odom"), "must be three different names"),
+        (("-p", "link:=planar", "-p", "start:=[a, b, c]"), "must be finite numbers"),
         (("-p", "link:=planar", "-p", "scene:=nosuch:1-1"), "nosuch"),
         (("--nosuch",), "unknown arguments of ROS: ['--nosuch']"),
     ],

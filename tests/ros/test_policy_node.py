@@ -117,6 +117,8 @@ def test_policy_drives_to_goals_and_shows_them(driver: Program, start_policy: St
     assert plan.header.frame_id == "odom"
     last = plan.poses[-1].pose.position
     assert (last.x, last.y) == pytest.approx((1.2, 0.4), abs=0.02)
+    first = policy.plans.messages[0].poses[0].pose.orientation
+    assert 2.0 * math.atan2(first.z, first.w) == pytest.approx(math.atan2(0.4, 1.2), abs=0.3)
     policy.client.wait(policy.stands, "standing wheels")
     policy.give(-1.0, 0.0, "base_link")  # behind it
     assert policy.end() == 0

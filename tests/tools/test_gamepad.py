@@ -137,8 +137,8 @@ def pad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EmulatedPad
 def test_gamepad_is_lost_and_comes_back(pad: EmulatedPad, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gamepad, "REOPEN_EVERY", 3)
     with contextlib.closing(Gamepad(str(pad.path))) as opened:
-        pad.deliver(DROPPED)  # as if the pad was lost for a moment
-        assert opened.poll() == [PadEvent.LOST]
+        pad.deliver(STOP + DROPPED)  # as if the pad was lost for a moment
+        assert opened.poll() == [PadEvent.STOP, PadEvent.LOST]
         assert [opened.poll() for _ in range(3)] == [[], [], [PadEvent.BACK]]
 
         for _ in range(2):

@@ -10,8 +10,10 @@ import socket
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
+import psutil
 import pytest
 from job_tools import Job, broken, missing, square, threads
 
@@ -36,6 +38,17 @@ def test_run_jobs_yields_results_in_order_of_completion(tmp_path: Path) -> None:
     assert list(results) == [(0, 0)]
 
 
+def test_run_jobs_leaves_the_callers_warnings_alone(tmp_path: Path) -> None:
+    def warn_between() -> None:
+        results = run_jobs(square, [Job(0, tmp_path), Job(1, tmp_path)], workers=2)
+        next(results)
+        warnings.warn("between two results", stacklevel=1)
+        results.close()
+
+    with pytest.warns(UserWarning, match="between two results"):
+        warn_between()
+
+
 def test_run_jobs_reports_a_process_that_ended(tmp_path: Path) -> None:
     with pytest.raises(AcsarError, match="a process that ran a job ended") as error:
         list(run_jobs(square, [Job(7, tmp_path, deaths=99), Job(1, tmp_path)], workers=2))
@@ -51,6 +64,17 @@ def test_run_jobs_raises_an_error_of_this_package_as_it_is(workers: int) -> None
 def test_run_jobs_names_the_job_of_other_errors() -> None:
     with pytest.raises(AcsarError, match=r"job 5: ZeroDivisionError: .*--workers 1 shows where"):
         list(run_jobs(broken, [5, 5], workers=2))
+
+
+def list_jobs(folder: Path) -> list[Path]:
+    """Files of the jobs that have started."""
+    return list(folder.glob("start-*"))
+
+
+def ignores_interrupts(process: int) -> bool:
+    status = Path(f"/proc/{process}/status").read_text(encoding="ascii")
+    (line,) = (line for line in status.splitlines() if line.startswith("SigIgn:"))
+    return bool(int(line.split()[1], 16) >> (signal.SIGINT - 1) & 1)
 
 
 INTERRUPTED = """
@@ -69,7 +93,8 @@ if __name__ == "__main__":
 """
 
 
-def test_run_jobs_ends_all_processes_upon_ctrl_c(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moment", ["starting", "running"])
+def test_run_jobs_ends_all_processes_upon_ctrl_c(moment: str, tmp_path: Path) -> None:
     """As on a terminal, where it reaches them all."""
     script = tmp_path / "script.py"
     script.write_text(INTERRUPTED, encoding="utf-8")
@@ -81,15 +106,23 @@ def test_run_jobs_ends_all_processes_upon_ctrl_c(tmp_path: Path) -> None:
         start_new_session=True,
     )
 
-    while len(started := list(tmp_path.glob("start-*"))) < 2:
+    def list_workers() -> list[int]:
+        children = psutil.Process(running.pid).children()
+        return [child.pid for child in children if "popen_loky" in " ".join(child.cmdline())]
+
+    while len(list_workers()) < 2 or (moment == "running" and len(list_jobs(tmp_path)) < 2):
         assert running.poll() is None
         time.sleep(0.05)
+    while ignores_interrupts(running.pid):
+        time.sleep(0.01)
+    workers = list_workers()
+    time.sleep(0.2)  # imports are interrupted, and not the start of Python
     os.killpg(running.pid, signal.SIGINT)
     out, error = running.communicate(timeout=60.0)
     assert (out, error) == ("interrupted\n", "")
-    for path in started:
+    for worker in workers:
         with pytest.raises(ProcessLookupError):
-            os.kill(int(path.name.rpartition("-")[2]), 0)
+            os.kill(worker, 0)
 
 
 @pytest.mark.parametrize("kind", ["", "ray://"])

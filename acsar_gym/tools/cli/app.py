@@ -45,10 +45,14 @@ for module in ("policies", "robots", "fitting", "recordings", "worlds", "ros"):
 
 def parse_command(words: list[str]) -> Any:
     """Run the command of a command line. Returns its exit code."""
-    if not words or words in (["--help"], ["-h"]):
-        print(f"usage: acsar-gym COMMAND [OPTIONS]\n\n{ABOUT}\n")
-        for name, command in COMMANDS.items():
-            print(f"  {name:15} {(command.function.__doc__ or '').splitlines()[0]}")
+    wants_help = words[-1:] in (["--help"], ["-h"])
+    # All commands, or those of a group such as "worlds".
+    prefix = "".join(f"{word} " for word in words[:-1])
+    listed = [name for name in COMMANDS if name.startswith(prefix)]
+    if not words or (wants_help and listed):
+        print(f"usage: acsar-gym {prefix}COMMAND [OPTIONS]\n\n{ABOUT}\n")
+        for name in listed:
+            print(f"  {name:15} {(COMMANDS[name].function.__doc__ or '').splitlines()[0]}")
         return 0 if words else 2
 
     name = find_name(words)

@@ -142,8 +142,8 @@ def _single_keys() -> Iterator[Callable[[float], bool]]:
     try:
         import termios
         import tty
-    except ImportError:  # on Windows, only Ctrl-C cancels
-        yield _sleep
+    except ImportError:
+        yield _wait_for_windows_key
         return
     number = sys.stdin.fileno()
     settings = termios.tcgetattr(number)
@@ -155,9 +155,16 @@ def _single_keys() -> Iterator[Callable[[float], bool]]:
         print(flush=True)
 
 
-def _sleep(seconds: float) -> bool:
-    time.sleep(seconds)
-    return False
+def _wait_for_windows_key(seconds: float) -> bool:
+    """Wait for a key on Windows. Returns whether there was a key."""
+    import msvcrt
+
+    # Looked up by name, because type checkers on other systems don't know it.
+    is_pressed: Callable[[], bool] = getattr(msvcrt, "kbhit")  # noqa: B009
+    deadline = time.monotonic() + seconds
+    while not is_pressed() and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return is_pressed()
 
 
 @dataclass(frozen=True)
@@ -196,7 +203,7 @@ _recorders: list[Recorder] = []
 
 def report_broken() -> bool:
     """Report recordings of this command that aren't complete. Returns whether there are any."""
-    broken = [recorder.path for recorder in _recorders if recorder.problem is not None]
+    broken = [recorder.path or "viewer" for recorder in _recorders if recorder.problem is not None]
     _recorders.clear()
     for name in broken:
         print_error(escape_unprintable(f"acsar-gym: {name}: the recording isn't whole"))

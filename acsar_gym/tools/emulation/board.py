@@ -169,10 +169,10 @@ class Emulator:
             until: Called in every loop. Ends the run by returning True.
 
         Raises:
-            ConfigError: The duration is negative or not finite.
+            ConfigError: `duration` is negative or not finite.
         """
         if duration is not None and not 0.0 <= duration < math.inf:
-            raise ConfigError(f"duration = {duration}: must be a finite number of seconds")
+            raise ConfigError(f"duration = {duration:g}: must be a finite number of seconds")
         start = time.monotonic()
         deadline = start
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import time
 from array import array
 from collections import deque
@@ -88,6 +89,7 @@ DRIVER_PARAMETERS = (
     "lidar_z_offset",
 )
 """Fields of a robot's file that are parameters of the node, by the same names."""
+FRAME_NAME = re.compile(r"[\w./-]+")
 COVARIANCES = ("pose_covariance_diagonal", "twist_covariance_diagonal")
 NODE_PARAMETERS: dict[str, Any] = {
     "robot": "",
@@ -244,6 +246,7 @@ class RobotNode(RosNode):
         self._ticks = 0
         self._late_ticks = 0
         self._reported_late_ticks = 0
+        self._lateness = 0.0
         self._reported: set[str] = set()
 
         try:
@@ -273,6 +276,15 @@ class RobotNode(RosNode):
         values = {name: self.read_parameter(name) for name in defaults}
         changes = {name: value for name, value in values.items() if value != defaults[name]}
         self.config = config.with_(**changes)
+        self._check_frames()
+        if self.config.twist_geometry != (
+            *self.config.wheel_radii,
+            self.config.effective_separation,
+        ):
+            self.warn(
+                "wheel_separation or wheel_radii of ros2 in the robot's file are another "
+                "controller's: this node converts twists by those of the robot"
+            )
         self.link = self._read("link", str)
         self.lidar = self._read("lidar", str)
         # 1 is an integer in YAML.
@@ -281,6 +293,16 @@ class RobotNode(RosNode):
             raise ConfigError(f"cmd_vel_timeout = {timeout:g}: must be positive")
         self.inbox = CommandInbox(timeout, self.config.base_frame, self.warn)
 
+    def _check_frames(self) -> None:
+        """Raise ConfigError unless the frames have three different names, as a tree of tf needs."""
+        config = self.config
+        frames = (config.odom_frame, config.base_frame, config.lidar_frame)
+        if len(set(frames)) < len(frames) or not all(map(FRAME_NAME.fullmatch, frames)):
+            raise ConfigError(
+                f"odom_frame, base_frame, lidar_frame = {', '.join(map(show_value, frames))}: must "
+                "be three different names"
+            )
+
     def _read(self, name: str, *kinds: type) -> Any:
         """Return the value of a parameter. ConfigError if it has another type."""
         value = self.read_parameter(name)
@@ -288,11 +310,17 @@ class RobotNode(RosNode):
             raise ConfigError(f"{name} = {show_value(value)}: must be of type {kinds[-1].__name__}")
         return value
 
+    def _read_numbers(self, name: str) -> list[float]:
+        """Return the numbers of a parameter. ConfigError for anything else."""
+        values = [*self._read(name, array, list)]
+        if not all(isinstance(value, int | float) and math.isfinite(value) for value in values):
+            raise ConfigError(f"{name} = {show_value(values)}: must be finite numbers")
+        return values
+
     def _read_diagonal(self, name: str) -> list[float] | None:
         """Return the six variances of a parameter. None if it is empty."""
-        values = [*self._read(name, list, array)]
-        is_number = [isinstance(value, int | float) and 0.0 <= value < math.inf for value in values]
-        if len(values) not in (0, 6) or not all(is_number):
+        values = self._read_numbers(name)
+        if len(values) not in (0, 6) or min(values, default=0.0) < 0.0:
             raise ConfigError(f"{name} = {show_value(values)}: must be six variances")
         return values or None
 
@@ -376,9 +404,9 @@ class RobotNode(RosNode):
         self.say(f"drives {self.link or self.config.serial_port}")
 
     def read_scene(self) -> Scene:
-        """Return the scene of the node's parameters. WorldError if there is no such world."""
+        """Return the scene of the node's parameters. ConfigError if there is no such scene."""
         name = str(self.read_parameter(SCENE_PARAMETER))
-        return find_scene(name, self.read_parameter(START_PARAMETER) or (), self.config)
+        return find_scene(name, self._read_numbers(START_PARAMETER), self.config)
 
     def put(self, measured: Measured) -> None:
         """Hand over what was measured in a tick. Doesn't wait."""
@@ -436,6 +464,7 @@ class RobotNode(RosNode):
         # Counted here, so that the control loop doesn't share numbers with this thread.
         self._ticks += 1
         self._late_ticks += measured.lateness > self.config.late_tick
+        self._lateness = max(self._lateness, measured.lateness)
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + DIAGNOSTICS_PERIOD
             self._publish_diagnostics(measured, stamp)
@@ -495,10 +524,12 @@ class RobotNode(RosNode):
             "emergency stop": str(reason is Reason.EMERGENCY_STOP).lower(),
             "why the sent twist isn't the commanded one": reason.name.lower(),
             "age of the feedback [s]": f"{measured.age:.4f}",
+            "latest tick [s]": f"{self._lateness:.6f}",
             "late ticks": f"{self._late_ticks} of {self._ticks}",
             "commands": problem or "taken",
         }
         self._reported_late_ticks = self._late_ticks
+        self._lateness = 0.0
         status.values = [ros.KeyValue(key=key, value=value) for key, value in values.items()]
         array = ros.DiagnosticArray(status=[status])
         array.header.stamp = stamp

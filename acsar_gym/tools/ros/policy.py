@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -72,9 +73,12 @@ class Frames:
         if all(map(math.isfinite, pose)):
             self._placed[child.lstrip("/")] = (parent.lstrip("/"), pose)
 
-    def add_odometry(self, pose: Pose) -> None:
-        """Store the newest pose of the odometry's topic, for robots without transforms."""
-        if all(map(math.isfinite, pose)):
+    def add_odometry(self, parent: str, pose: Pose) -> None:
+        """Store the newest pose of the odometry's topic, for robots without transforms.
+
+        Poses in another frame, such as a localization's map, are ignored.
+        """
+        if parent.lstrip("/") in ("", self._odom) and all(map(math.isfinite, pose)):
             self._pose = pose
 
     def find_base(self) -> Pose | None:
@@ -232,7 +236,8 @@ class PolicyNode(RosNode):
             base = self.frames.find_base()
             if base is None:
                 raise GoalError(
-                    f"{goal}: neither /tf nor the odometry's topic has the robot's pose"
+                    f"{goal}: neither /tf nor the odometry's topic has the robot's pose in "
+                    f"{show_value(self._odom_frame)}"
                 )
             place = to_odometry(base, in_odom)[:2]
         self.rules.check(goal, math.hypot(*place))
@@ -259,10 +264,12 @@ class PolicyNode(RosNode):
         plan = ros.Path()
         plan.header.frame_id = self._odom_frame
         plan.header.stamp = make_stamp(ros, nanoseconds)
-        for x, y in points:
+        for (x, y), heading in zip(points, list_headings(points), strict=True):
             pose = ros.PoseStamped(header=plan.header)
             pose.pose.position.x = x
             pose.pose.position.y = y
+            pose.pose.orientation.z = math.sin(heading / 2.0)
+            pose.pose.orientation.w = math.cos(heading / 2.0)
             plan.poses.append(pose)
         self._plan.publish(plan)
 
@@ -276,7 +283,8 @@ class PolicyNode(RosNode):
 
     def _take_odometry(self, message: Any) -> None:
         pose = message.pose.pose
-        self.frames.add_odometry(_read_pose(pose.position, pose.orientation))
+        place = _read_pose(pose.position, pose.orientation)
+        self.frames.add_odometry(message.header.frame_id, place)
 
     def _take_goal(self, message: Any) -> None:
         """Take a goal, which ends the previous one. Its yaw isn't used."""
@@ -295,6 +303,13 @@ class PolicyNode(RosNode):
         self.is_cancelled = self.is_driving
         self.goal = None
         return response
+
+
+def list_headings(points: Sequence[Sequence[float]]) -> list[float]:
+    """Return the directions in which the points of a path look ahead [rad]."""
+    headings = [math.atan2(y - v, x - u) for (u, v), (x, y) in pairwise(points)]
+    # The last point has nothing ahead.
+    return [*headings, *(headings[-1:] or [0.0])]
 
 
 def _read_pose(place: Any, turn: Any) -> Pose:
@@ -342,8 +357,7 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Do a step."""
         # The map may have been corrected since the last step.
         if self.goal.frame and self._start is not None:
-            in_odom = self._node.frames.find_goal(self.goal)
-            move_goal(self._inner, to_odometry(self._start, in_odom)[:2])
+            self._follow_goal(self._start)
         observation, reward, terminated, truncated, info = self.env.step(action)
 
         # The wheels stop at once, also if a new goal follows.
@@ -354,12 +368,21 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
             self._show_plan(self._start)
         return observation, float(reward), terminated, truncated, info
 
+    def _follow_goal(self, start: Pose) -> None:
+        try:
+            in_odom = self._node.frames.find_goal(self.goal)
+        except GoalError:
+            # Frames got other parents. The wheels must not turn while the next goal is awaited.
+            self._inner.robot.stop()
+            raise
+        move_goal(self._inner, to_odometry(start, in_odom)[:2])
+
     def _show_plan(self, start: Pose) -> None:
         robot = self._inner.robot
         map_sensor = find_map(robot.sensors)
-        # Without a map, the way is a straight line.
-        goal = self._inner.episode.assignment.goal
-        ahead = [goal] if map_sensor is None else map_sensor.way_ahead.tolist()
+        # Without a map, or a way over it, the way is a straight line.
+        ahead = [] if map_sensor is None else map_sensor.way_ahead.tolist()
+        ahead = ahead or [self._inner.episode.assignment.goal]
         places = [robot.odometry.pose, *((x, y, 0.0) for x, y, *_ in ahead)]
         points = [to_world(start, place)[:2] for place in places]
         self._node.show_plan(points, robot.link.ros.ros_time())

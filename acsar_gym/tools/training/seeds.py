@@ -35,7 +35,7 @@ def parse_seeds(text: str) -> list[int]:
     # Ranges are cut, as 0-9999999999 would fill the memory.
     try:
         ends = [item.partition("-") for item in text.split(",")]
-        ranges = [range(int(first), int(last or first) + 1) for first, _, last in ends]
+        ranges = [range(int(first), int(last if dash else first) + 1) for first, dash, last in ends]
         seeds = sorted({seed for numbers in ranges for seed in numbers[: MAX_SEEDS + 1]})
     except ValueError:
         seeds = []

@@ -40,6 +40,13 @@ def test_help_lists_all_commands(call: Any) -> None:
     assert call() == (2, out, "")
 
 
+def test_help_of_a_group_lists_its_commands(call: Any) -> None:
+    out = call.succeed("worlds --help")
+    listed = [line.split()[1] for line in out.splitlines() if line.startswith("  worlds ")]
+    assert listed == ["show", "check", "convert"]
+    assert "record info" not in out
+
+
 def test_help_imports_nothing_heavy() -> None:
     command = [sys.executable, "-c", HEAVY, "worlds", "convert", "--help"]
     done = subprocess.run(command, check=True, capture_output=True, text=True)

@@ -26,6 +26,7 @@ ERRORS = [
     (f"evaluate --link planar --episodes {HUGE}", 2, "--episodes 1000"),
     ("evaluate --workers 0 --link planar", 2, "--workers 0"),
     (f"{BENCHMARK} --address nowhere", 2, "--address 'nowhere'"),
+    ("emulate --duration nan", 2, "duration = nan: must be a finite number"),
     ("train --gamma 1.5", 2, "train.gamma = 1.5"),
     ("train --seeds 0-1 --resume runs/x", 2, "--resume: "),
     ("worlds convert clutter:2 two.json", 2, "clutter:2: 2 worlds are too many, at most 1"),

@@ -6,11 +6,12 @@ import os
 import pty
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from serial_tools import TIMEOUT
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import CancelledError, ConfigError
 from acsar_gym.tools.cli.options import countdown
 
 pytestmark = pytest.mark.usefixtures("deadline")
@@ -56,6 +57,14 @@ def test_countdown_announces_what_moves_and_ends() -> None:
 
 def test_countdown_is_cancelled_by_a_key() -> None:
     assert count_down("1000", b"\x1b[A").rstrip().endswith("CancelledError 130")
+
+
+def test_countdown_is_cancelled_by_a_key_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "termios", None)
+    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(kbhit=lambda: True))
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    with pytest.raises(CancelledError):
+        countdown("the wheels turn", 1000.0)
 
 
 def test_countdown_without_a_terminal_names_the_option() -> None:

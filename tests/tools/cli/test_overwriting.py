@@ -72,6 +72,14 @@ def test_a_commands_result_is_replaced_by_the_same_command_only(
     )
 
 
+def test_worlds_convert_accepts_its_own_unchanged_file(call: Any, place: Path) -> None:
+    for _ in range(2):
+        call.succeed("worlds convert clutter:7-7 out.yaml")
+    with (place / "out.yaml").open("a", encoding="utf-8") as file:
+        file.write("# edited\n")
+    call.refuse("out.yaml: exists", "worlds convert clutter:7-7 out.yaml")
+
+
 def test_emulate_replaces_no_users_link(place: Path) -> None:
     (place / "rob").symlink_to("/dev/ttyUSB0")
     with pytest.raises(ConfigError, match="rob: is a symbolic link to /dev/ttyUSB0: name another"):

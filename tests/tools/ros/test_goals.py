@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import math
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError
-from acsar_gym.tools.ros.policy import Frames, Goal, GoalError, GoalRules, move_goal
+from acsar_gym.tools.ros.policy import (
+    Frames,
+    Goal,
+    GoalEnv,
+    GoalError,
+    GoalRules,
+    list_headings,
+    move_goal,
+)
 from acsar_gym.worlds import Region, World
 
 QUARTER = math.pi / 2.0
@@ -60,8 +69,10 @@ def test_fix_goal_keeps_only_a_goal_ahead_from_moving() -> None:
 def test_find_base_uses_the_odometrys_topic_without_a_transform() -> None:
     frames = Frames("odom", "base_link")
     assert frames.find_base() is None
-    frames.add_odometry((3.0, 0.0, 0.0))
-    frames.add_odometry((math.nan, 0.0, 0.0))
+    frames.add_odometry("map", (9.0, 0.0, 0.0))
+    assert frames.find_base() is None
+    frames.add_odometry("/odom", (3.0, 0.0, 0.0))
+    frames.add_odometry("odom", (math.nan, 0.0, 0.0))
     assert frames.find_base() == (3.0, 0.0, 0.0)
     assert frames.find_goal(Goal(1.0, 0.0, "base_link"))[:2] == (4.0, 0.0)
     frames.add("/odom", "/base_link", (5.0, 0.0, 0.0))
@@ -110,6 +121,28 @@ def test_goal_rules_are_those_of_the_task() -> None:
     env = make_env("PathFollow-v0")
     with contextlib.closing(env), pytest.raises(ConfigError, match="has no goals"):
         GoalRules.of(env)
+
+
+def test_goal_env_stops_if_the_goals_place_is_lost() -> None:
+    frames = make_frames()
+    env = GoalEnv(make_env("PointGoal-v0"), cast("Any", SimpleNamespace(frames=frames)))
+    with contextlib.closing(env):
+        env.reset(seed=0, options={"goal": (2.0, 0.0)})
+        env.goal = Goal(1.0, 3.0, "map")
+        frames.add("earth", "odom", (0.0, 0.0, 0.0))
+        robot = cast("Any", env.unwrapped).robot
+        stops: list[int] = []
+        robot.stop = lambda: stops.append(1)
+        with pytest.raises(GoalError, match="no transforms"):
+            env.step(np.zeros(2, np.float32))
+        del robot.stop
+    assert stops == [1]
+
+
+def test_list_headings_look_along_the_path() -> None:
+    corner = [(0.0, 0.0), (0.0, 2.0), (-1.0, 2.0)]
+    assert list_headings(corner) == pytest.approx([QUARTER, math.pi, math.pi])
+    assert list_headings(corner[:1]) == [0.0]
 
 
 def test_move_goal_leads_the_way_over_the_map() -> None:

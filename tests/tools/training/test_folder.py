@@ -219,7 +219,7 @@ def test_train_seeds_refuses_the_folder_of_another_command(
 
 def test_parse_seeds_reads_ranges_and_lists() -> None:
     assert parse_seeds("1,5,7-9") == [1, 5, 7, 8, 9]
-    for text in ("", "3-1", "a", "1,,2", "0-1000", "4294967296"):
+    for text in ("", "3-1", "a", "1,,2", "1-", "0-1000", "4294967296"):
         with pytest.raises(ConfigError, match=r"--seeds .*: must be like"):
             parse_seeds(text)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -92,12 +93,16 @@ def convert_world(
     from acsar_gym.tools import atlas
     from acsar_gym.worlds import files
 
-    check_writable(out, mark="")  # people edit worlds
     # A world of a file may lack both. Generated worlds refuse them.
     ends = {"start": start, "goal": goal}
     placement = {name: text for name, text in ends.items() if text is not None}
     place = {"path": source, **placement} if placement else source
     _, (world,) = atlas.collect_worlds(place, difficulty, robot, count=1, most=1)
-    files.save_world(world, out)
+
+    # A script may run again, but people edit worlds: only an equal file isn't refused.
+    is_readable = out.is_file() and os.access(out, os.R_OK)
+    if not is_readable or out.read_bytes() != files.format_world(world, out.suffix):
+        check_writable(out, mark="")
+        files.save_world(world, out)
     say(f"written: {out}")
     return 0
