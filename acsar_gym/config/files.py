@@ -75,5 +75,8 @@ def read_own_fields(text: str, names: Collection[str]) -> dict[str, Any]:
     if data is not None and not isinstance(data, dict):
         raise ConfigError("must be a mapping of parameter names to values")
     if data and not data.keys() & set(names):
-        raise ConfigError(f"{next(iter(data))[:40]!r} is no field of a robot: {SIX_NUMBERS}")
+        name, value = next(iter(data.items()))
+        # A single value is a misspelt field, whose own error suggests the right name.
+        if len(data) > 1 or isinstance(value, dict):
+            raise ConfigError(f"{name[:40]!r} is no field of a robot: {SIX_NUMBERS}")
     return data or {}

@@ -53,10 +53,7 @@ def make_fleet(source: FleetSource, most: int = MAX_KINDS) -> Fleet:
     """
     sources = _list_sources(source)
     if not 1 <= len(sources) <= MAX_KINDS:
-        raise ConfigError(
-            f"robot: a fleet of {len(sources):,} robots: must have 1 to {MAX_KINDS:,}; "
-            "drawn ones are given as 'drawn:0-63'"
-        )
+        raise _wrong_size(len(sources))
     # Robots that no row of the batch gets are never made.
     robots = tuple(RobotConfig.of(robot) for robot in sources[:most])
     names = tuple(_name(robot, place) for place, robot in enumerate(sources[:most]))
@@ -78,10 +75,23 @@ def _list_sources(source: FleetSource) -> list[RobotSource]:
     names: list[RobotSource] = []
     for item in source.split(","):
         count, name = _COUNTED.findall(item)[0]
+        repetitions = int(count or 1)
         numbers = drawn.parse_numbers(name)
-        robots = [name] if numbers is None else [f"{drawn.PREFIX}{number}" for number in numbers]
-        names += robots * int(count or 1)
+        robots = [name]
+        if numbers is not None:
+            # A range may have a billion numbers: count them before names are made.
+            if len(numbers) * repetitions > MAX_KINDS:
+                raise _wrong_size(len(numbers) * repetitions)
+            robots = [f"{drawn.PREFIX}{number}" for number in numbers]
+        names += robots * repetitions
     return names
+
+
+def _wrong_size(robots: int) -> ConfigError:
+    return ConfigError(
+        f"robot: a fleet of {robots:,} robots: must have 1 to {MAX_KINDS:,}; "
+        "drawn ones are given as 'drawn:0-63'"
+    )
 
 
 def check_equal(fleet: Fleet, place: int, path: str) -> None:

@@ -132,8 +132,9 @@ def read_controller(nodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         )
     (params,) = drives
     fields = {name: params[name] for name in GEOMETRY_FIELDS if name in params}
-    fields |= {field: params[name] for name, field in FRAMES.items() if name in params}
-    if timeout := params.get("cmd_vel_timeout"):
+    fields |= {field: params[name] for name, field in FRAMES.items() if params.get(name)}
+    timeout = _read_value(params.get("cmd_vel_timeout"))
+    if timeout:
         fields["firmware"] = {"command_timeout": timeout}
 
     for axis, (section, top_speed) in AXES.items():
@@ -158,11 +159,16 @@ def read_controller(nodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return fields
 
 
+def _read_value(value: Any) -> Any:
+    """Return the value of a parameter. NaN, which ROS writes for no value, becomes None."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
 def _read_limits(params: Mapping[str, Any], axis: str) -> dict[str, Any]:
     """Return the limits of an axis. Limits that a flag disables are None."""
     prefix = f"{axis}."
     limits = {
-        name.removeprefix(prefix): value
+        name.removeprefix(prefix): _read_value(value)
         for name, value in params.items()
         if name.startswith(prefix)
     }

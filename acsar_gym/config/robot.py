@@ -246,9 +246,11 @@ class RobotConfig(Section):
         rates = {"control_rate": self.control_rate, "firmware.feedback_rate": self.feedback_rate}
         for field, rate in rates.items():
             if rate > lines:
+                enough = [baud for baud in BAUD_RATES if baud >= rate * BITS_PER_BYTE * line]
+                hint = f"baud_rate {enough[0]} or more, or " if enough else ""
                 raise ConfigError(
                     f"baud_rate = {self.baud_rate}: carries {int(lines)} lines of {line} bytes a "
-                    f"second, {field} needs {rate:g}; use a higher baud_rate, or a lower {field}"
+                    f"second, {field} needs {rate:g}; use {hint}a {field} of at most {int(lines)}"
                 )
         return self
 

@@ -68,6 +68,9 @@ def save_robot(
     except ConfigError:  # a file to replace, since `check_target` accepted it
         text, old = _make_default(type(robot))
 
+    # Lines end as they did. In between, "\n" is the only end.
+    has_windows_lines = "\r\n" in text
+    text = text.replace("\r\n", "\n")
     # Remarks that are written again below take their place.
     for remark in outdated:
         text = text.replace(_comment(remark), "")
@@ -76,6 +79,8 @@ def save_robot(
     for name, remark in remarks.items():
         if _comment(remark) not in text:
             text = f"\n{text}".replace(f"\n{name}:", f"\n{_comment(remark)}{name}:")[1:]
+    if has_windows_lines:
+        text = text.replace("\n", "\r\n")
     reading.write_atomically(path, text.encode())
 
 
@@ -95,7 +100,7 @@ def _read_present(path: Path, kind: type[Section]) -> tuple[str, Section]:
     if not path.is_file():
         return _make_default(kind)
     try:
-        text = files.read_text(path).replace("\r\n", "\n")
+        text = files.read_text(path)
         robot = kind.model_validate(files.read_own_fields(text, kind.model_fields))
         # A file that the editor cannot read must not be found out after a drive.
         _change_text(text, {})
@@ -163,4 +168,6 @@ def _update(present: dict[str, Any], changes: Mapping[str, Any]) -> None:
                     del old[outdated]
             _update(old, value)
         else:
+            # ruamel.yaml puts new text into the quotes of the old text, where null is a name.
+            present[name] = None
             present[name] = value

@@ -299,7 +299,7 @@ class RobotEnv(PlainSpec, gymnasium.Env[Observation, NDArray[np.float32]]):
         # Draw what differs between episodes.
         if self._faulty is not None:
             self._faulty.seed(self.np_random)
-        assignment = self._spawn.draw(self.np_random, options or {})
+        assignment = self._spawn.draw(self.np_random, {} if options is None else options)
         physics = self._randomizer.draw(self.np_random)
         self._episode = RunningEpisode(self.task, assignment, self._check)
         self._has_ended = False

@@ -27,12 +27,16 @@ def read_actions(actions: Any, shape: tuple[int, ...]) -> Floats:
     except Exception as error:
         raise CommandError(f"{_refuse(actions, shape)}; {format_error(error)}") from error
 
-    if numbers is None or numbers.shape != shape:
+    is_single = len(shape) == 1
+    if numbers is None or (is_single and numbers.shape != shape):
         raise CommandError(_refuse(actions, shape))
+    if numbers.shape != shape:
+        raise CommandError(f"actions of shape {numbers.shape}: must be {shape}")
+
     is_finite = np.isfinite(numbers)
     if is_finite.all():
         return numbers
-    if len(shape) == 1:
+    if is_single:
         raise CommandError(_refuse(actions, shape))
     robot = int(is_finite.all(axis=1).argmin())
     raise CommandError(f"action of env {robot} is {numbers[robot]}: must be finite numbers")

@@ -203,14 +203,14 @@ def choose_world(worlds: Pool, share: float, options: Mapping[str, Any]) -> tupl
         ranks = worlds.ranks(difficulty)
         rank = ranks[min(int(share * len(ranks)), len(ranks) - 1)]
         key = worlds.key(int(worlds.by_difficulty[0][rank]))
-    elif isinstance(wanted, str):
+    elif isinstance(wanted, str) and worlds.numbers is None:
         key = wanted
     elif isinstance(wanted, int | float | np.number) and read_number(wanted).is_integer():
         key = int(wanted)  # info has it as a float
     else:
         raise ConfigError(
-            f"world = {show_value(wanted)}: must be a number or a name of the env's worlds, or a "
-            "World"
+            f"world = {show_value(wanted)}: must be a number, among several sets a name, of the "
+            "env's worlds, or a World"
         )
     return key, worlds[key]
 

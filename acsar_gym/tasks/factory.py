@@ -87,8 +87,9 @@ def _check_class(task: Task) -> None:
     # What can't be converted fails here, before a robot is made.
     with TranslatedErrors(ConfigError, lambda: name):
         new_memory(task)
+        are_pairs = all(np.shape(bounds) == (2,) for bounds in task.observation.values())
         low, high = observation_bounds(task)
-    if not (low <= high).all():
+    if not (are_pairs and (low <= high).all()):
         raise ConfigError(f"{name}: observation: the bounds of a name must be (least, largest)")
     for sensor in task.needs:
         if sensor not in task.sensors:

@@ -138,15 +138,21 @@ class PointGoal(GoalTask):
     """Observed distances are divided by this [m]. None: by the distance of the farthest goal."""
 
     def __post_init__(self) -> None:
-        nearest, _ = check_distances(self.goal_distance)
+        distances = check_distances(self.goal_distance)
+        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
         # A goal that is nearer than the tolerance would be reached before the first step.
-        if check_positive("goal_tolerance", self.goal_tolerance) >= nearest:
+        if tolerance >= distances[0]:
             raise ConfigError(
-                f"goal_tolerance = {self.goal_tolerance:g}: must be below the nearest "
-                f"goal_distance, {nearest:g} m"
+                f"goal_tolerance = {tolerance:g}: must be below the nearest goal_distance, "
+                f"{distances[0]:g} m"
             )
+
+        # Numbers may come as text. The task calculates with what was checked.
+        object.__setattr__(self, "goal_distance", distances)
+        object.__setattr__(self, "goal_tolerance", tolerance)
         if self.distance_scale is not None:
-            check_positive("distance_scale", self.distance_scale)
+            scale = check_positive("distance_scale", self.distance_scale)
+            object.__setattr__(self, "distance_scale", scale)
 
     @property
     def scale(self) -> float:  # type: ignore[override]

@@ -126,7 +126,8 @@ class ObstacleGoal(NavigationTask):
     """Radius of the goal [m]."""
 
     def __post_init__(self) -> None:
-        check_positive("goal_tolerance", self.goal_tolerance)
+        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
+        object.__setattr__(self, "goal_tolerance", tolerance)
 
 
 class Barn(NavigationTask):

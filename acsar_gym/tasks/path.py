@@ -97,7 +97,6 @@ class PathFollow(Task):
         "mean_heading_error": 0.0,
         "progress": 0.0,  # samples of the path
         "gain": 0.0,  # in the last step [m]
-        "bearing": 0.0,
         "cross_sum": 0.0,
         "heading_sum": 0.0,
     }
@@ -115,7 +114,8 @@ class PathFollow(Task):
     weights = PathWeights()
 
     def __post_init__(self) -> None:
-        check_positive("max_cross_track", self.max_cross_track)
+        max_cross_track = check_positive("max_cross_track", self.max_cross_track)
+        object.__setattr__(self, "max_cross_track", max_cross_track)
 
     def begin(self, state: State, memory: Any) -> None:
         """Find the robot's position on the path."""
@@ -184,7 +184,6 @@ def locate_on_path(state: State, memory: Any) -> None:
     # Samples are evenly spaced: `length / last` is the distance between two of them [m].
     memory.gain = (progress - memory.progress) * (state.length / last)
     memory.progress = progress
-    memory.bearing = bearing
     memory.cross_track_error = cross_track
     memory.heading_error = heading_error(state.pose[2], bearing)
     memory.path_progress = progress / last

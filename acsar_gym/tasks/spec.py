@@ -47,8 +47,16 @@ class PlainSpec:
             # Gymnasium's own spec stays as it was made.
             spec = copy.copy(spec)
             spec.kwargs = to_plain(spec.kwargs)
+            # Only sensors are found by name again: a task gets its functions as they are.
+            if "sensors" in spec.kwargs:
+                spec.kwargs["sensors"] = [_name_function(item) for item in spec.kwargs["sensors"]]
             object.__setattr__(self.task, "id", spec.id)  # a task's class may have several ids
         self._spec = spec
+
+
+def _name_function(value: Any) -> Any:
+    """Return the "module:name" of a function that can be imported. Other values stay."""
+    return (isinstance(value, FunctionType) and object_name(value)) or value
 
 
 def to_plain(value: Any) -> Any:
@@ -66,6 +74,6 @@ def to_plain(value: Any) -> Any:
         return [to_plain(item) for item in value]
     if isinstance(value, Enum):
         return value.value
-    if isinstance(value, FunctionType) or (isinstance(value, type) and issubclass(value, Sensor)):
+    if isinstance(value, type) and issubclass(value, Sensor):
         return object_name(value) or value
     return str(value.absolute()) if isinstance(value, Path) else value

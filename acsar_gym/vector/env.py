@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from acsar_gym.config import whole_ratio
 from acsar_gym.config.fleet import FleetSource, check_equal, make_fleet
 from acsar_gym.errors import ConfigError, show_value
+from acsar_gym.links.faults import Faults
 from acsar_gym.sensors import LIDAR
 from acsar_gym.tasks.actions import read_actions
 from acsar_gym.tasks.episode import Spawn
@@ -127,12 +128,13 @@ class RobotVectorEnv(PlainSpec, VectorEnv[Array, Array, Array]):
         chosen, task_options = BatchOptions.split(options)
 
         # What the single env has and a batch can't have.
-        for name, needed in (("link", "planar"), ("faults", None)):
-            value = getattr(chosen, name)
-            if value != needed:
+        has_faults = Faults.of(chosen.faults).possible
+        for name, is_refused in (("link", chosen.link != "planar"), ("faults", has_faults)):
+            if is_refused:
+                value = show_value(getattr(chosen, name))
                 raise ConfigError(
-                    f"{name} = {show_value(value)}: a batch has planar robots without faults: "
-                    "make_vec with vectorization_mode='sync' or 'async'"
+                    f"{name} = {value}: a batch has planar robots without faults: make_vec with "
+                    "vectorization_mode='sync' or 'async'"
                 )
         self.render_mode = check_render_mode(chosen.render_mode)
         self.num_envs = check_count("num_envs", num_envs, MAX_ROBOTS)

@@ -76,8 +76,11 @@ class Threads:
 
         # The caller takes a slice as well, so Ctrl-C interrupts it between two blocks.
         first, *slices = itertools.pairwise(edges)
-        self._running = [self._pool.submit(work, *limits) for limits in slices]
+        self._running = []
         try:
+            # One by one, so that Ctrl-C in between leaves no thread that nobody waits for.
+            for limits in slices:
+                self._running.append(self._pool.submit(work, *limits))
             work(*first)
         finally:
             wait(self._running)

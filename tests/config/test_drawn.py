@@ -61,6 +61,7 @@ def test_make_fleet_takes_a_robot_a_list_or_a_range(source: Any, names: list[str
     ("source", "said"),
     [
         ([], "a fleet of 0 robots: must have 1 to 10,000"),
+        ("acsar,drawn:0-999999999", "a fleet of 1,000,000,000 robots: must have 1 to 10,000"),
         (
             ["jackal", ACSAR.with_(control_rate=50.0)],
             "robot: jackal has control_rate = 100.0, number 1 50.0: must be the same",

@@ -78,7 +78,7 @@ def test_urdf_has_the_parameters_of_the_drivers_document(write: Write) -> None:
 def test_urdf_without_a_baud_rate_means_the_drivers_9600(write: Write) -> None:
     config = RobotConfig.load(write("robot.urdf", urdf(serial_port="/dev/ttyUSB0")))
     assert (config.baud_rate, config.control_rate) == (9600, 20.0)
-    with pytest.raises(ConfigError, match="baud_rate = 9600: carries 28 lines"):
+    with pytest.raises(ConfigError, match=r"baud_rate = 9600: carries 28 .*use baud_rate 38400"):
         RobotConfig.load(write("robot.urdf", urdf(control_rate=100)))
 
 
@@ -136,6 +136,13 @@ def test_controller_has_limits_frames_and_time_out(write: Write) -> None:
     assert RobotConfig.load(mine) == config
 
 
+def test_controller_without_values_has_defaults(write: Write) -> None:
+    """ROS writes NaN for no limit and an empty name for none."""
+    lines = ["angular.z.max_velocity: .nan", "cmd_vel_timeout: .nan", "base_frame_id: ''"]
+    config = RobotConfig.of(write("controllers.yaml", drive(*lines)))
+    assert config == RobotConfig.of(write("plain.yaml", SKID))
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -170,6 +177,8 @@ def test_robot_that_cant_be_simulated_is_left_to_ros(text: str, reason: str, wri
         ("a.yaml", "base_drive: {type: DiffDrive, wheel_radius: 0.1}", SIX_NUMBERS),  # ROS 1
         ("a.yaml", SKID.replace("_joint, r", "_joint, m, r"), "must be two names each"),
         ("a.yaml", SKID.replace("0.42", "wide"), "must be numbers"),
+        ("a.yaml", "wheel_radus: 0.1", "'wheel_radus'; did you mean 'wheel_radius'"),
+        ("a.yaml", "wheel_base: 0.3", "write wheel_separation for the distance"),
     ],
 )
 def test_load_refuses_any_other_robot_in_a_line_that_names_the_file(

@@ -106,10 +106,18 @@ def test_save_changes_a_file_of_windows(path: Path) -> None:
     path.write_bytes(b"wheel_radius: 0.06 # tape\r\nmotor:\r\n    gain: 1.1\r\n")
     config = RobotConfig.load(path).with_(motor={"gain": 1.2, "deadband": 0.1})
     config.save(path)
-    assert path.read_text() == (
-        "wheel_radius: 0.06 # tape\nmotor:\n    gain: 1.2\n    deadband: 0.1\n"
+    assert path.read_bytes() == (
+        b"wheel_radius: 0.06 # tape\r\nmotor:\r\n    gain: 1.2\r\n    deadband: 0.1\r\n"
     )
     assert RobotConfig.load(path) == config
+
+
+def test_save_removes_a_value_in_quotes(path: Path) -> None:
+    path.write_text('serial_port: "/dev/ttyUSB0" # cable\nwheel_radius: "0.06"\n')
+    config = RobotConfig.load(path).with_(serial_port=None, wheel_radius=0.07)
+    config.save(path)
+    assert RobotConfig.load(path) == config
+    assert "# cable" in path.read_text()
 
 
 @pytest.mark.parametrize("text", ["", "\n", "# only a comment\n", "# no end of line"])

@@ -14,6 +14,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
+import acsar_gym
 from acsar_gym import RobotConfig, RobotEnv
 from acsar_gym.envs import CrowdEnv, ObstacleGoalEnv
 from acsar_gym.envs.ids import full_id, make_vec
@@ -23,6 +24,7 @@ from acsar_gym.links.faults import Faults
 from acsar_gym.physics import Randomization
 from acsar_gym.registration import snake_case
 from acsar_gym.resources import AGENTS
+from acsar_gym.tasks import PointGoal
 
 POINT_GOAL = "acsar_gym/PointGoal-v0"
 OBSTACLE_GOAL = "acsar_gym/ObstacleGoal-v1"
@@ -155,6 +157,21 @@ def test_spec_goes_through_json(options: dict[str, Any], make: Any) -> None:
     assert vars(again.unwrapped.task) == vars(env.unwrapped.task)
     assert again.observation_space == env.observation_space
     assert repr(again.reset(seed=5)) == repr(env.reset(seed=5))
+
+
+class Shaped(PointGoal):
+    """A task with a function as an option."""
+
+    def __init__(self, shape: Any = None) -> None:
+        super().__init__()
+        object.__setattr__(self, "shape", shape)
+
+
+def test_spec_keeps_a_function_for_the_task() -> None:
+    acsar_gym.register("mine/Shaped-v0", task=Shaped)
+    env = gymnasium.make("mine/Shaped-v0", link="planar", shape=gymnasium.make)
+    again: Any = gymnasium.make(env.spec or "")
+    assert again.unwrapped.task.shape is gymnasium.make
 
 
 def test_spec_of_a_batch_goes_through_json() -> None:

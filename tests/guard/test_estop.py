@@ -151,6 +151,8 @@ def test_estop_answer_waits_for_space_in_a_full_queue(folder: Path) -> None:
             with contextlib.suppress(BlockingIOError):
                 while True:
                     other.sendto(b"of another robot", asker.getsockname())
+
+        # The queue is full, so that the answer is sent later.
         listener.is_requested()
         answers = set()
         with contextlib.suppress(BlockingIOError):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import logging
 import os
 import signal
 import sys
@@ -12,6 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import psutil
 import pytest
@@ -22,7 +22,7 @@ from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import LinkError, SafetyWarning
 from acsar_gym.guard import watchdog
 from acsar_gym.guard.watchdog_child import BEAT
-from acsar_gym.links import guarded
+from acsar_gym.links import guarded, serial
 from acsar_gym.links.serial import SerialLink
 from acsar_gym.protocol import ZERO, encode
 from acsar_gym.worlds import Scene
@@ -217,68 +217,32 @@ def test_watchdog_behind_a_socket(emulator: Emulated) -> None:
             wait_until(emulator.is_stopped, "zero as the last command")
 
 
-class StuckPort:
-    """A port that takes bytes and sends none."""
-
-    path = ""
-
-    def __init__(self) -> None:
-        self.calls: list[str] = []
-        self.error: BaseException | None = None
-
-    def try_write(self, data: bytes) -> bool:
-        self.calls.append("write")
-        if self.error is not None:
-            raise self.error
-        return True
-
-    def drain(self) -> bool:
-        self.calls.append("drain")
-        return False
-
-    def close(self) -> None:
-        self.calls.append("close")
-
-
-@pytest.fixture
-def stuck_port() -> StuckPort:
-    return StuckPort()
-
-
-@pytest.fixture
-def stuck_link(
-    stuck_port: StuckPort, config: RobotConfig, monkeypatch: pytest.MonkeyPatch
-) -> SerialLink:
-    link = SerialLink("/dev/stuck", config)
-    monkeypatch.setattr(link, "_port", stuck_port)
-    monkeypatch.setattr(link.watchdog, "close", lambda: stuck_port.calls.append("end watchdog"))
-    return link
-
-
-def test_close_leaves_nothing_in_a_port_that_sends_nothing(
-    stuck_link: SerialLink, stuck_port: StuckPort
+def test_close_leaves_no_bytes_in_the_port(
+    link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The kernel would wait for it when the port is closed, by default 30 s."""
-    stuck_link.close()
-    assert stuck_port.calls == ["write", "drain", "write", "drain", "end watchdog", "close"]
+    """If they can't leave, the kernel waits when the port is closed, by default 30 s."""
+    drain = Mock(wraps=link.port.drain)
+    monkeypatch.setattr(link.port, "drain", drain)
+    link.close()
+    assert drain.call_count == 2, "for both zeros"
 
 
 def test_close_that_is_interrupted_again_and_again_ends_the_watchdog(
-    stuck_link: SerialLink, stuck_port: StuckPort
+    link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    stuck_port.error = KeyboardInterrupt()
+    monkeypatch.setattr(link, "_send_stop", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        stuck_link.close()
-    assert stuck_port.calls == ["write", "write", "end watchdog", "close"]
+        link.close()
+    assert not link.is_open
+    assert not children()
 
 
-def test_zeros_are_sent_before_a_log_that_fails(
-    stuck_link: SerialLink, stuck_port: StuckPort, caplog: pytest.LogCaptureFixture
+def test_close_sends_zeros_before_a_log_that_fails(
+    link: SerialLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(record: logging.LogRecord) -> bool:
-        raise RuntimeError("no log")
-
-    caplog.set_level(logging.DEBUG, "acsar_gym.wire")
-    with caplog.filtering(fail), pytest.raises(RuntimeError, match="no log"):
-        stuck_link.close()
-    assert stuck_port.calls[0] == "write"
+    send = Mock(wraps=link.port.try_write)
+    monkeypatch.setattr(link.port, "try_write", send)
+    monkeypatch.setattr(serial.LOG, "debug", Mock(side_effect=RuntimeError("no log")))
+    with pytest.raises(RuntimeError, match="no log"):
+        link.close()
+    send.assert_called()

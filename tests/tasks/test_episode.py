@@ -39,6 +39,7 @@ def test_draw_in_world_fills_the_regions() -> None:
     ("source", "options", "message"),
     [
         ("open:5", {"world": 5}, "world 5: must be of open 0 to 4"),
+        ("open:5", {"world": "4"}, "world = '4': must be a number, among several sets a name"),
         ("open:5", {"goal": (1.0, math.inf)}, "goal"),
     ],
 )

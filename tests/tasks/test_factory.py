@@ -15,7 +15,7 @@ import acsar_gym
 from acsar_gym import Outcome, RobotEnv, State, Task
 from acsar_gym.envs.ids import make_vec
 from acsar_gym.errors import AcsarWarning, ConfigError
-from acsar_gym.tasks import PointGoal
+from acsar_gym.tasks import PathFollow, PointGoal
 from acsar_gym.vector.env import RobotVectorEnv
 
 ACTION = np.zeros(2, np.float32)
@@ -49,6 +49,7 @@ def returning(value: Any) -> Any:
 
 CLASSES: list[tuple[dict[str, Any], str]] = [
     ({"observation": {"x": (1.0, 0.0)}}, "Mine: observation: the bounds of a name must be"),
+    ({"observation": {"x": 1.0, "y": 2.0}}, "Mine: observation: the bounds of a name must be"),
     ({"memory": {"odom_x": 0.0}}, "Mine: memory 'odom_x': info has that already"),
     ({"told": ("speed",)}, "Mine: told: no memory 'speed'"),
 ]
@@ -87,6 +88,12 @@ def test_task_mistake_is_one_line_at_the_latest_in_the_first_step(
 def test_option_that_is_wrong_is_refused(kind: Any, option: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         kind(WithField, **option)
+
+
+def test_numbers_may_be_text() -> None:
+    task = PointGoal(goal_distance=("0.5", 2), goal_tolerance="0.25")  # type: ignore[arg-type]
+    assert (task.goal_distance, task.goal_tolerance, task.boundary) == ((0.5, 2.0), 0.25, 4.0)
+    assert PathFollow(max_cross_track="0.4").max_cross_track == 0.4  # type: ignore[arg-type]
 
 
 def test_weights_reach_the_single_env_and_a_batch() -> None:

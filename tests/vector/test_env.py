@@ -123,6 +123,10 @@ def test_batch_options_that_are_wrong_are_refused(options: dict[str, Any], messa
         PointGoalVectorEnv(**{"num_envs": 2, **options})
 
 
+def test_batch_accepts_faults_that_are_none() -> None:
+    PointGoalVectorEnv(2, faults={"lateness": 0.1}).close()
+
+
 def test_batch_actions_and_seeds_that_are_wrong_change_nothing() -> None:
     env = make_batch()
     still = np.zeros((4, 2))
@@ -131,7 +135,7 @@ def test_batch_actions_and_seeds_that_are_wrong_change_nothing() -> None:
 
     env.reset(seed=0)
     holed = np.where([[0.0], [0.0], [1.0], [0.0]], np.nan, 0.0) + still
-    for actions, message in ((still[:3], "actions = "), (holed, "action of env 2 is")):
+    for actions, message in ((still[:3], r"of shape \(3, 2\)"), (holed, "action of env 2 is")):
         with pytest.raises(CommandError, match=message):
             env.step(actions)
     for seed in ([1, 2], "abc", -5):

@@ -153,6 +153,20 @@ def test_task_mistake_in_a_step_is_named_and_a_reset_recovers(
             env.step(action)
 
 
+class Touching(PointGoal):
+    compiled = True
+
+    def outcome(self, state: State, memory: Any) -> Any:
+        return state.contact
+
+
+def test_outcome_that_is_true_or_false_is_refused() -> None:
+    batch = RobotVectorEnv(Touching, 3)
+    batch.reset(seed=0)
+    with pytest.raises(ConfigError, match=r"^Touching: .*outcome returned True or False"):
+        batch.step(ACTIONS)
+
+
 class TooFew(Unsound):
     compiled = True
 

@@ -5,6 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import pytest
 
@@ -29,6 +32,27 @@ def test_threads_raise_an_error_of_any_slice_and_end_when_they_are_closed() -> N
     slices: list[tuple[int, int]] = []
     threads.share(lambda first, last: slices.append((first, last)), 9)
     assert slices == [(0, 9)]
+
+
+def test_threads_finish_if_ctrl_c_comes_between_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+    submit = ThreadPoolExecutor.submit
+    finished: list[int] = []
+
+    def interrupted_submit(pool: ThreadPoolExecutor, work: Any, first: int, last: int) -> Any:
+        if last == 30:
+            raise KeyboardInterrupt
+        return submit(pool, work, first, last)
+
+    def work(first: int, last: int) -> None:
+        time.sleep(0.1)
+        finished.append(last)
+
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", interrupted_submit)
+    threads = Threads(3)
+    with pytest.raises(KeyboardInterrupt):
+        threads.share(work, 30)
+    assert finished == [20]
+    threads.close()
 
 
 FORK = """

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import literal_unroll
+from numba import literal_unroll, types
 from numpy.typing import NDArray
 
-from acsar_gym.jit import jit
+from acsar_gym.jit import jit, overloads
 from acsar_gym.tasks.state import State
 from acsar_gym.tasks.task import TASK_METHODS, Outcome, Task
 from acsar_gym.vector.kernel.binding import bind_methods
@@ -68,6 +68,28 @@ def state_of(tables: Tables, robot: int, setup: Setup, spawns: Spawns) -> State:
     )
 
 
+def outcome_number(outcome: Any) -> int:
+    """Return the number of an Outcome."""
+    return int(outcome)
+
+
+@overloads(outcome_number)
+def _compile_outcome_number(outcome: Any) -> Callable[..., int]:
+    """Compile it, also for numbers. True and False are refused: True would be a success."""
+
+    def refuse(outcome: Any) -> int:
+        # Always true, but numba needs a return to know the type of the result.
+        if int(outcome) < OUTCOMES:
+            raise ValueError("outcome returned True or False: must be an Outcome")
+        return 0
+
+    def number(outcome: Any) -> int:
+        result: int = 0 + outcome
+        return result
+
+    return refuse if isinstance(outcome, types.Boolean) else number
+
+
 @jit
 def store_numbers(row: NDArray[np.float32], numbers: Any) -> None:
     """Write numbers, whose types may differ, into the first columns of a row."""
@@ -118,7 +140,7 @@ def run(
             tables.terminated[robot] = False
             tables.truncated[robot] = False
         else:
-            outcome = 0 + task_outcome(task, state, remembered)  # an Outcome, or its number
+            outcome = outcome_number(task_outcome(task, state, remembered))
             if not 0 <= outcome < OUTCOMES:
                 raise ValueError("outcome returned what is no Outcome")
             reward = task_reward(task, state, remembered, outcome)

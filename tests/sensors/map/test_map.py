@@ -88,7 +88,9 @@ def test_map_of_a_lidar_that_only_sees_ahead_remembers_what_is_behind(make_map: 
 
 def test_cells_met_are_those_of_echoes_within_reach(make_map: Any) -> None:
     mapped = make_map(LONG)
-    x, y, yaw = 1.0, -2.0, 0.7
+    x = 1.0
+    y = -2.0
+    yaw = 0.7
     mapped.see((x, y, yaw), np.full(LONG.lidar.rays, 2.3))
     cells = mapped.sensor.cells_met(3.0)
     places = (cells + 0.5 - CELL_SHIFT) * mapped.sensor.cell_side
