@@ -85,6 +85,7 @@ def test_given_readings_are_for_all_runs_of_a_manoeuvre() -> None:
     ]
     with pytest.raises(ConfigError, match="2 readings for 1 straight runs"):
         readings.check(["straight", "turn"])
+
     with pytest.raises(ConfigError, match=r"--measured 2\.0 nan: must be finite"):
         GivenReadings((2.0, math.nan)).check(["straight", "straight"])
     with pytest.raises(ConfigError, match="--aside needs --measured"):
