@@ -7,10 +7,12 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from acsar_gym import RobotConfig
 from acsar_gym.config.footprint import (
+    border_distance,
     contains_point,
     make_circle,
     make_rectangle,
@@ -94,3 +96,13 @@ def test_outline_without_a_footprint_is_the_body_and_the_wheels_beyond_it() -> N
 def test_outline_reach(place: tuple[float, float], bearing: float, reach: float) -> None:
     outline = make_rectangle(0.4, 0.2)
     assert outline_reach(outline, place, bearing) == pytest.approx(reach)
+
+
+def test_border_distance_is_that_to_the_nearest_point_of_a_side() -> None:
+    outline = ((0.3, -0.2), (0.4, 0.1), (-0.1, 0.3), (-0.3, -0.3))
+    corners = np.array(outline)
+    shares = np.linspace(0.0, 1.0, 2001)[:, None, None]
+    border = corners + shares * (np.roll(corners, -1, axis=0) - corners)
+    for place in ((0.0, 0.0), (0.1, 0.15), (-0.2, -0.1), (0.5, 0.5), (-0.6, 0.0)):
+        expected = np.linalg.norm(border - place, axis=2).min()
+        assert border_distance(outline, *place) == pytest.approx(expected, abs=1e-4)
