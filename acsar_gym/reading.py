@@ -109,14 +109,14 @@ def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigEr
             `error`.
     """
     try:
-        with replace_file(path) as new, open(new, "wb", opener=_open_nonblocking) as file:
+        with replace_file(path) as new, open(new, "wb", opener=open_nonblocking) as file:
             file.write(data)
     except (OSError, ValueError) as problem:
         raise error(f"{path}: can't be written: {explain_error(problem)}") from problem
 
 
-def _open_nonblocking(path: str, flags: int) -> int:
-    """Open a file. A pipe that no process reads is an error instead of an endless wait."""
+def open_nonblocking(path: str, flags: int) -> int:
+    """Open a file, for `open`. A pipe that no process reads is an error: a robot can't wait."""
     nonblocking = getattr(os, "O_NONBLOCK", 0)  # Windows has no such pipes
     file = os.open(path, flags | nonblocking, 0o666)
     if nonblocking:

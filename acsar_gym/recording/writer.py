@@ -13,6 +13,7 @@ from typing import IO, Any
 
 from acsar_gym.config import RobotConfig
 from acsar_gym.errors import ConfigError, explain_error, require_extra
+from acsar_gym.reading import open_nonblocking
 from acsar_gym.recording.blocks import MAGIC, MEDIA_TYPE, NAME, pack_block
 from acsar_gym.recording.events import Began, Event, Rows, Tables
 from acsar_gym.recording.messages import (
@@ -156,15 +157,6 @@ def next_number(path: Path) -> Path:
     """Return the first name "drive.1.mcap", "drive.2.mcap" that no file has."""
     names = (path.with_suffix(f".{number}{path.suffix}") for number in itertools.count(1))
     return next(name for name in names if not name.exists())
-
-
-def open_nonblocking(path: str, flags: int) -> int:
-    """Open a file, for `open`. A pipe without a reader is an error: a robot can't wait for it."""
-    nonblocking = getattr(os, "O_NONBLOCK", 0)
-    descriptor = os.open(path, flags | nonblocking, 0o666)
-    if nonblocking:
-        os.set_blocking(descriptor, True)
-    return descriptor
 
 
 def open_exclusively(path: Path) -> IO[bytes]:
