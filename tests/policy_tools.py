@@ -123,7 +123,21 @@ def random() -> Any:
     return network(dense("turn") + "action = RandomNormalLike (turn)")
 
 
-HOSTILE: tuple[Callable[[], Any], ...] = (lies_about_its_output, not_finite, external_data, random)
+def without_inputs() -> Any:
+    model = network("action = Constant <value = float[1,2] {0.0, 0.0}> ()")
+    del model.graph.input[:]
+    return model
+
+
+def list_of_actions() -> Any:
+    nodes = dense("turn") + "action = SequenceConstruct (turn)"
+    return network(nodes, outputs="seq(float[batch,2]) action")
+
+
+HOSTILE: tuple[Callable[[], Any], ...] = (
+    *(lies_about_its_output, not_finite, external_data, random),
+    *(without_inputs, list_of_actions),
+)
 """What makes such networks."""
 
 

@@ -95,10 +95,14 @@ class OnnxPolicy(FilePolicy):
 
     def _check_network(self) -> None:
         """Find the states, and check that an observation of zeros gets the same action twice."""
-        observation, *states = self._session.get_inputs()
-        names = [observation.name, self._session.get_outputs()[0].name]
+        inputs = self._session.get_inputs()
+        outputs = self._session.get_outputs()
+        names = [value.name for value in (*inputs[:1], outputs[0])]
         if names != ["observation", "action"]:
             raise PolicyError(f"must map 'observation' to 'action', not {str(names)[:80]}")
+        if any(value.type != "tensor(float)" for value in (*inputs, *outputs)):
+            raise PolicyError("must have inputs and outputs of float32")
+        states = inputs[1:]
         for state in states:
             is_fixed = all(isinstance(size, int) for size in state.shape)
             if not is_fixed or math.prod(state.shape) > MAX_STATE_SIZE:
@@ -116,7 +120,7 @@ class OnnxPolicy(FilePolicy):
                 f"doesn't decide for {self.document.width} numbers: {format_error(error)}"
             ) from error
         shapes = [result.shape for result in results]
-        are_numbers = all(r.dtype == np.float32 and np.isfinite(r).all() for r in results)
+        are_numbers = all(np.isfinite(result).all() for result in results)
         if shapes != [(1, 2), *(state.shape for state in self._zeros.values())] or not are_numbers:
             raise PolicyError(
                 f"gives {str(results[0].tolist())[:100]} for zeros: must be (1, 2) finite float32 "

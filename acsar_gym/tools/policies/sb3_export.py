@@ -198,18 +198,20 @@ def _find_statistics(data: Mapping[str, Any], path: Path, named: str | Path | No
 
     # Next to the model, as its own example and RL Zoo save it.
     files = [file for pattern in STATISTICS_PATTERNS for file in sorted(path.parent.glob(pattern))]
-    if is_normalized and files:
+    if is_normalized and len(files) == 1:
         return files[0]
     convert = f"'acsar-gym policy {path} --out policy.onnx --trust --vecnormalize"
-    if is_normalized:
+    if is_normalized and not files:
         raise PolicyError(
             f"was trained with a VecNormalize, whose file isn't beside it: convert it with "
             f"{convert} FILE', or --vecnormalize none if it changed only rewards"
         )
+    # Checkpoints have a file each: the wrong one would give wrong actions.
     if files:
+        more = f", and {len(files) - 1} more" if files[1:] else ""
         raise PolicyError(
-            f"{files[0]} is beside it: if it was trained with that VecNormalize, convert it with "
-            f"{convert} {files[0]}', otherwise with --vecnormalize none"
+            f"{files[0]}{more} is beside it: if it was trained with that VecNormalize, convert it "
+            f"with {convert} {files[0]}', otherwise name another, or --vecnormalize none"
         )
     return None
 

@@ -40,6 +40,8 @@ DEFAULT_KEY = "default"
 """Key of the hyperparameters for envs that have none of their own."""
 OPTION_ARGUMENTS = ("autoreset_mode", "defaults", "env_id", "num_envs", "robot", "task", "threads")
 """Arguments of an env that `train` sets by its own options."""
+OPTION_KEYS = ("env", "seed", "device", "tensorboard_log")
+"""Arguments of an algorithm that `train` sets."""
 PLAIN_TYPES = (float, int, bool, str, type(None))
 """Types of an algorithm's arguments that YAML has."""
 OWN_KEYS = ("n_timesteps", "n_envs", "policy", "env_kwargs", "vec_env_wrapper")
@@ -87,7 +89,7 @@ class Recipe:
         name = "n_steps" if "n_epochs" in parameters else "train_freq"
         value = self.values.get(name, parameters[name].default)
         number, unit = value if isinstance(value, list | tuple) else (value, "step")
-        return int(number) if unit == "step" else 1
+        return max(int(number), 1) if unit == "step" else 1
 
     def with_changes(self, **changes: Any) -> Recipe:
         """Return a recipe with some hyperparameters changed. None changes nothing."""
@@ -147,7 +149,10 @@ class Recipe:
         # These import classes, and find out what the algorithm doesn't take, before any is made.
         self.import_wrappers()
         arguments = self.build_arguments()
-        inspect.signature(algorithm).bind(env=None, **arguments)
+        options = dict.fromkeys(OPTION_KEYS)
+        if twice := options.keys() & self.values.keys():
+            raise ConfigError(f"{min(twice)}: leave it out: train's options set it")
+        inspect.signature(algorithm).bind(**options, **arguments)
 
 
 class _Values(Section):

@@ -220,6 +220,7 @@ def make_model(
             model = algorithm(env=batch, **recipe | arguments)
         else:
             model = algorithm.load(start, batch, **arguments)
+            check_algorithm(start, model)
             # A new training may have another task, for which the transitions would be wrong.
             buffer = start.with_name(folders.BUFFER_FILE)
             if start.is_relative_to(out) and buffer.exists():
@@ -244,6 +245,19 @@ def check_start(start: Path, env: RobotVectorEnv) -> None:
         check_observation(parse_document({DOCUMENT_KEY: str(label)}), env.task, env.sensors)
     except PolicyError as error:
         raise PolicyError(f"{start}: {error}") from error
+
+
+def check_algorithm(start: Path, model: BaseAlgorithm) -> None:
+    """Raise PolicyError for a model of another algorithm, which may fail only when it learns."""
+    # A policy of RecurrentPPO is also a policy of PPO.
+    kind = type(model)
+    is_of_kind = isinstance(model.policy, tuple(kind.policy_aliases.values()))
+    needs_memory = kind.__name__ == "RecurrentPPO"
+    if not is_of_kind or needs_memory != hasattr(model.policy, "lstm_actor"):
+        name = type(model.policy).__name__
+        raise PolicyError(
+            f"{start}: contains a {name}, which {kind.__name__} can't train: choose its --algo"
+        )
 
 
 def print_score(plan: TrainingPlan, score: Score, env: RobotVectorEnv, policy: Path) -> None:

@@ -140,6 +140,12 @@ def test_zip_policy_contains_the_statistics_of_vecnormalize(tmp_path: Path) -> N
         for named in (beside, "none")
     ]
 
+    for number in (1, 2):  # as those of checkpoints
+        (tmp_path / f"rl_model_vecnormalize_{number}_steps.pkl").touch()
+    assert "_1_steps.pkl, and 1 more is beside it: " in refused(path, env_id="point_goal")
+    for file in tmp_path.glob("rl_model*"):
+        file.unlink()
+
     for observation in np.random.default_rng(0).uniform(-2.0, 2.0, (20, 7)).astype(np.float32):
         expected, _ = model.predict(env.normalize_obs(observation), deterministic=True)
         plain, _ = model.predict(observation, deterministic=True)

@@ -154,6 +154,22 @@ def test_resume_leaves_the_replay_buffer_of_another_training(tmp_path: Path) -> 
     assert "\n" not in str(error.value)
 
 
+def test_resume_refuses_models_that_fail_only_when_they_learn(tmp_path: Path) -> None:
+    from sb3_contrib import RecurrentPPO
+
+    from acsar_gym.tools.policies import sb3
+
+    sac = save(tmp_path / "sac.zip", "SAC", buffer_size=10)
+    lstm = tmp_path / "lstm.zip"
+    RecurrentPPO("MlpLstmPolicy", sb3.make_batch("point_goal", 2), n_steps=8).save(lstm)
+    for start, algo, message in (
+        (sac, "tqc", r"sac\.zip: contains a SACPolicy, which TQC can't train"),
+        (lstm, "ppo", r"lstm\.zip: contains a RecurrentActorCriticPolicy, which PPO can't train"),
+    ):
+        with pytest.raises(AcsarError, match=message):
+            train(tiny(tmp_path / algo, algo=algo, steps=8, resume=start, trust=True))
+
+
 def test_resume_takes_more_steps_and_writes_a_missing_policy(
     finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -48,6 +48,7 @@ def test_read_recipe_has_recipes_for_every_env_and_reads_config_files(
             "activation_fn: torch.nn.ReLUU: can't be imported",
         ),
         (GOOD.replace("n_steps: 8", "env_kwargs: {robot: husky}"), "env_kwargs: robot: leave it"),
+        (GOOD.replace("n_steps: 8", "seed: 7"), "seed: leave it out: train's options set it"),
         ("default: !!python/object/apply:os.abort []", "not valid YAML"),
     ],
 )

@@ -184,6 +184,9 @@ def test_update_hint_knows_the_default_of_the_algorithm(tmp_path: Path) -> None:
     line = TrainingPlan.of(TrainingOptions(conf_file=recipe, threads=1)).update_hint
     assert "64 robots are only 3 updates" in line  # of 2,048 steps
 
+    recipe.write_text("default: {n_timesteps: 1000, n_envs: 4, n_steps: 0}", encoding="utf-8")
+    assert not TrainingPlan.of(TrainingOptions(conf_file=recipe, threads=1)).update_hint
+
 
 def test_training_plan_takes_the_ranges_of_the_recipe(tmp_path: Path) -> None:
     recipe = tmp_path / "mine.yml"
