@@ -75,6 +75,7 @@ def test_base_drives_over_a_serial_device(hidden: list[str], shared_device: str)
     ("command", "said"),
     [
         ("evaluate --link planar", "running a policy: deploy"),
+        ("benchmark --sets open --agents turn_drive", "a benchmark: scipy"),
         ("identify DEVICE", "identification: scipy"),
         ("drive --link bullet --duration 1", "the PyBullet robot: bullet"),
     ],

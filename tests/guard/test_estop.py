@@ -111,6 +111,15 @@ def test_stop_that_was_not_read_holds_after_the_robot_was_dropped(
     assert len(list(folder.iterdir())) == 1, "the release must reach the process"
 
 
+def test_estop_refuses_a_folder_that_is_too_long_for_sockets(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", str(folder / ("x" * 80)))
+    stopped = run("estop")
+    assert stopped.returncode == 3
+    assert "too long for the address of a socket: set ACSAR_GYM_RUNTIME_DIR" in stopped.stderr
+
+
 def test_socket_of_a_dead_process_is_removed() -> None:
     path = estop.make_folder() / "99999999-a1"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as dead:

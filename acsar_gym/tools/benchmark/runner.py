@@ -44,16 +44,20 @@ def open_folder(plan: Plan, out: Path | None, resume: Path | None) -> Path:
         resume: Folder of a benchmark that is to be continued.
 
     Raises:
-        ConfigError: `out` isn't empty, or `resume` was made by another plan.
+        ConfigError: `out` isn't empty, `resume` was made by another plan, or there are too few
+            scenes.
     """
+    if resume is None and out is not None and out.is_dir() and any(out.iterdir()):
+        raise ConfigError(
+            f"--out {out}: isn't empty: name a new folder, or --resume {shlex.quote(str(out))}"
+        )
+    # Checked before there is a folder, so that a corrected command can use the same name.
+    for scenes in plan.sets:
+        scenes.check(plan.count_scenes(scenes))
+
     # As a file has it, with lists in the place of tuples.
     about = json.loads(json.dumps(plan.as_dict()))
     if resume is None:
-        if out is not None and out.is_dir() and any(out.iterdir()):
-            raise ConfigError(
-                f"--out {out}: isn't empty: name a new folder, or --resume {shlex.quote(str(out))}"
-            )
-
         # No other run writes to it, so it needs no lock.
         folder = make_folder(out, "benchmark")
         report.write_json(folder / PLAN_FILE, about)
@@ -86,9 +90,6 @@ def run_plan(
     Raises:
         CancelledError: After Ctrl-C. Its message names the command that continues.
     """
-    for scenes in plan.sets:
-        scenes.check(plan.count_scenes(scenes))
-
     # Cells that were finished before an interruption aren't driven again.
     cells = list(plan.cells())
     results = read_results(folder, cells)

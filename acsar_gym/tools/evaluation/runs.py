@@ -325,7 +325,7 @@ def evaluate_policy(
             f"{' or '.join(BODIES)}"
         )
     if is_parallel and options.get("record") is not None:
-        raise ConfigError("--record: one process records: leave out --workers")
+        raise ConfigError("--record and --view: one process records: leave out --workers")
 
     resets: Resets = [(seed, {}) for seed in seeds]
 

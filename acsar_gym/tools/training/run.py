@@ -287,7 +287,7 @@ def say(text: str) -> None:
 
 def require_training() -> None:
     """Check that what training needs is installed."""
-    modules = ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript")
+    modules = ("torch", "stable_baselines3", "tensorboard", "onnx", "onnxscript", "matplotlib")
     check_extra("training", "train", *modules)
 
 

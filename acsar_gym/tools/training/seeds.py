@@ -77,8 +77,8 @@ def train_seeds(options: TrainingOptions) -> dict[int, Score]:
 
     # Scores are printed in the order in which the trainings end.
     scores: dict[int, Score] = {}
-    running = run_jobs(train_seed, jobs, options.workers, options.address)
     try:
+        running = run_jobs(train_seed, jobs, options.workers, options.address)
         with contextlib.closing(running):
             for number, score in report.watch_progress("seeds trained", running, len(jobs)):
                 scores[seeds[number]] = score
@@ -92,6 +92,9 @@ def train_seeds(options: TrainingOptions) -> dict[int, Score]:
         # Whatever ended the others, finished seeds are results.
         if scores:
             _summarize(scores, out)
+        # If no seed was started, as without a cluster, the same command can be repeated.
+        elif not any(out.glob("seed-*")):
+            (out / TABLE_FILE).unlink()
     return scores
 
 

@@ -93,6 +93,12 @@ def test_open_folder_makes_the_next_number(tmp_path: Path, monkeypatch: pytest.M
         runner.open_folder(make_plan(count=3), None, folders[0])
 
 
+def test_open_folder_makes_none_for_too_many_scenes(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="were asked for"):
+        runner.open_folder(make_plan(count=100_000), tmp_path / "run", None)
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize("name", list(plan.CONDITIONS))
 def test_drive_cell_drives_under_every_condition(name: str) -> None:
     (cell,) = make_plan(conditions=(name,), count=1).cells()

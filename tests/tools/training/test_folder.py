@@ -233,6 +233,12 @@ def test_train_seeds_refuses_the_folder_of_another_command(
         train_seeds(tiny(tmp_path, seeds="3,5", steps=1, robots=4))
 
 
+def test_train_seeds_leaves_nothing_if_no_seed_was_started(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--workers 0: must be"):
+        train_seeds(tiny(tmp_path, seeds="3,5", steps=1, robots=4, workers=0))
+    assert not list(tmp_path.iterdir())
+
+
 def test_parse_seeds_reads_ranges_and_lists() -> None:
     assert parse_seeds("1,5,7-9") == [1, 5, 7, 8, 9]
     for text in ("", "3-1", "a", "1,,2", "1-", "0-1000", "4294967296"):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from acsar_gym.config import RobotConfig
-from acsar_gym.errors import BUSY_HINT, ConfigError, LateTicksError, LinkError
+from acsar_gym.errors import BUSY_HINT, ConfigError, LateTicksError, LinkError, check_extra
 from acsar_gym.reading import describe_origin
 from acsar_gym.ros.node import ROS_ARGUMENTS
 from acsar_gym.tools.cli.commands import command
@@ -411,6 +411,7 @@ def run_benchmark(what: BenchmarkChoice, how: BenchmarkOutputs) -> int:
 
     # What is compared.
     how.check()
+    check_extra("a benchmark", "scipy", "scipy")  # before the first episode, not after the last
     sets = scenes.choose_sets(what.env, what.sets, what.robots)
     if what.barn is not None:
         sets += scenes.published_sets(sets, what.barn)
