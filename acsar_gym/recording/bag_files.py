@@ -77,15 +77,13 @@ class BagFiles:
         for source, path in zip(self._sources, self._paths, strict=True):
             problems: list[str] = []
             is_database = path.suffix == ".db3"
-            for message in _read_sqlite(path) if is_database else _read_mcap(path, problems):
-                if message.data.startswith(ZSTD_MAGIC):  # packed by itself
-                    size = FREE_UNPACKED + MAX_RATIO * len(message.data)
-                    try:
-                        unpacked = b"".join(unpack(io.BytesIO(message.data), size))
-                    except ConfigError as error:
-                        raise ConfigError(f"{source}: {message.topic} {error}") from error
-                    message = message._replace(data=unpacked)  # noqa: PLW2901
-                yield message
+            messages = _read_sqlite(path) if is_database else _read_mcap(path, problems)
+            try:
+                yield from map(_unpack_message, messages)
+            except ConfigError as error:
+                # The user knows the bag, not the copy of it that is read.
+                problem = str(error).removeprefix(f"{path}: ")
+                raise ConfigError(f"{source}: {problem}") from error
             self.problems |= dict.fromkeys(f"{source}: {problem}" for problem in problems)
 
 
@@ -141,6 +139,17 @@ def unpack(packed: IO[bytes], limit: int) -> Iterator[bytes]:
         raise ConfigError(f"can't be unpacked: {explain_error(error)}") from error
 
 
+def _unpack_message(message: BagMessage) -> BagMessage:
+    """Return a message, whose data may be packed by themselves, as they were before."""
+    if not message.data.startswith(ZSTD_MAGIC):
+        return message
+    size = FREE_UNPACKED + MAX_RATIO * len(message.data)
+    try:
+        return message._replace(data=b"".join(unpack(io.BytesIO(message.data), size)))
+    except ConfigError as error:
+        raise ConfigError(f"{message.topic} {error}") from error
+
+
 def _read_mcap(path: Path, problems: list[str]) -> Iterator[BagMessage]:
     """Read an MCAP file up to where it is cut or damaged."""
     with require_extra("reading a ROS 2 bag", "record"):
@@ -169,7 +178,8 @@ def _read_mcap(path: Path, problems: list[str]) -> Iterator[BagMessage]:
                         channels[record.id] = (record.topic, kinds.get(record.schema_id, ""))
                     elif isinstance(record, Message) and record.channel_id in channels:
                         yield BagMessage(*channels[record.channel_id], record.log_time, record.data)
-        except (McapError, UnicodeDecodeError, struct.error):
+        # Lengths inside damaged records may be larger than the memory, or than any integer of C.
+        except (McapError, UnicodeDecodeError, struct.error, MemoryError, OverflowError):
             problem = "the file is cut: what followed is missing"
             if has_end(file):
                 problem = f"is damaged: left out all from byte {place:,} on; see mcap recover"

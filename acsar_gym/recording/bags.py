@@ -216,7 +216,7 @@ def choose_topics(
         ConfigError: There are no wheel speeds, or several topics of a role.
     """
     topics = ", ".join(f"{name} ({survey.kind})" for name, survey in sorted(surveys.items()))
-    content = escape_unprintable(f"it has {topics}", 300)
+    content = escape_unprintable(f"it has {topics or 'no messages'}", 300)
     # A misspelt topic would otherwise be a topic that the bag doesn't use.
     for name in wanted:
         if not any(is_below(topic, name) for topic in surveys):

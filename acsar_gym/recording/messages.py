@@ -116,7 +116,13 @@ def package_version() -> str:
 
 def to_plain_json(value: Any) -> Any:
     """Return what JSON can hold of a value: NaN and infinity become null, objects their text."""
-    return json.loads(json.dumps(value, default=str), parse_constant=lambda name: None)
+    text = json.dumps(value, default=_simplify)
+    return json.loads(text, parse_constant=lambda name: None)
+
+
+def _simplify(value: Any) -> Any:
+    # A seed may be a number of NumPy.
+    return value.item() if isinstance(value, np.number) else str(value)
 
 
 def make_header(config: RobotConfig, about: Mapping[str, Any]) -> dict[str, Any]:

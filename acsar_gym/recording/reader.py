@@ -98,9 +98,10 @@ class StoredTables(Tables):
             shapes = {table.shape[1:] for table in parts} or {empty.shape[1:]}
             if len(shapes) > 1 or len(shapes.pop()) != empty.ndim - 1:
                 raise ConfigError(f"is damaged: {name} of several lengths")
-            self[name] = np.concatenate(parts or [empty])
-            check_table(name, self[name])
-        return self[name]
+            table = np.concatenate(parts or [empty])
+            check_table(name, table)
+        self[name] = table
+        return table
 
 
 def check_table(name: str, table: Table) -> None:
@@ -188,16 +189,18 @@ def read_quietly(path: Path) -> Recording:
         file.seek(0)
         digest = hashlib.file_digest(file, "sha256").hexdigest()[:16]
 
+    # Without damage, all that is missing was dropped.
     missing = sum(tables.missing for tables in stored.values())
+    dropped = dropped or (0 if damages else missing)
     return Recording(
         header=header.model_dump(),
         sha256=digest,
         config=config,
         episodes=tuple(Episode(tables.head, tables) for tables in stored.values()),
         cut=is_cut,
-        dropped=dropped or (0 if damages else missing),
+        dropped=dropped,
         damages=tuple(damages),
-        missing=missing,
+        missing=max(missing - dropped, 0),
     )
 
 

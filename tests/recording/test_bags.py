@@ -162,6 +162,15 @@ def test_open_recording_warns_of_a_cut_bag(file: Path) -> None:
         open_recording(file, ROBOT)
 
 
+@pytest.mark.parametrize("length", [2**62, 2**63], ids=["memory", "integer"])
+def test_open_recording_explains_a_broken_chunk(file: Path, length: int) -> None:
+    """Its content would be longer than the memory."""
+    head, name, content = file.read_bytes().partition(b"zstd")
+    file.write_bytes(head + name + length.to_bytes(8, "little") + content[8:])
+    with pytest.raises(ConfigError, match=r"bag.mcap: has no wheel speeds, .* it has no messages"):
+        open_recording(file, ROBOT)
+
+
 States = Callable[[float], tuple[list[float], list[float]]]
 """Returns positions and velocities of the joints at a time."""
 
@@ -252,6 +261,9 @@ def test_open_recording_unpacks_files_and_messages(
     assert_same_drive(packed, tape)
     packed.write_bytes(zstandard.compress(bytes(100_000_000)))
     with pytest.raises(ConfigError, match="unpacks to more than a bag holds"):
+        read_bag(packed)
+    packed.write_bytes(zstandard.compress(b"no bag"))
+    with pytest.raises(ConfigError, match=f"^{re.escape(str(packed))}: isn't a ROS 2 bag"):
         read_bag(packed)
 
     topic, kind, time, data = bag[0]

@@ -193,6 +193,13 @@ def test_read_refuses_broken_blocks(block: bytes, text: str, tmp_path: Path) -> 
     assert_refused(write_blocks(tmp_path / "file.mcap", block), text)
 
 
+def test_read_refuses_a_broken_table_each_time(path: Path) -> None:
+    (episode,) = read(write_blocks(path, make_block(make_exchanges(5.0, 4.0)))).episodes
+    for _ in range(2):
+        with pytest.raises(ConfigError, match="times go backwards"):
+            assert len(episode.exchanges)
+
+
 def test_read_takes_blocks_of_this_format_only(path: Path) -> None:
     sound = read(write_blocks(path, make_block(make_exchanges(0.5, 1.0))))
     assert not sound.damages

@@ -103,7 +103,8 @@ def test_recorder_counts_a_gap_at_which_a_replay_ends(
     monkeypatch.setattr(Recorder, "add", forget)
     # A simulation waits for the writer, and drops nothing else.
     drive(path, CONFIG, capacity=20)
-    assert read(path).dropped == 1
+    recording = read(path)
+    assert (recording.dropped, recording.missing) == (1, 0)  # it is nowhere damaged
     replay = Robot(open_link(f"replay:{path}"), CONFIG)
     with pytest.raises(LinkLostError, match="gap, tick 30"), replay:
         for tick in range(100):
@@ -206,6 +207,13 @@ def test_recorder_takes_the_text_of_any_error(path: Path) -> None:
         robot.deactivate(LinkError(os.fsdecode(b"\xff.mcap: is lost")))
     faults = read(path).episodes[0].tables["faults_bytes"]
     assert faults.tobytes() == b"\\udcff.mcap: is lost"
+
+
+def test_recorder_keeps_numbers_of_numpy(path: Path) -> None:
+    env = gymnasium.make(ENV, link="planar", record=path)
+    env.reset(seed=np.int64(7))  # type: ignore[arg-type]
+    env.close()
+    assert read(path).episodes[0].info["seed"] == 7
 
 
 def test_recorder_refuses_the_file_that_is_replayed(path: Path) -> None:

@@ -30,6 +30,7 @@ TRAILS = ("path", "truth", "seen")  # entities of which all that was before the 
 TIMELINE = "time"  # time since the reset [s]
 STEP_TICKS = 10  # ticks between two points of a path
 MOVERS_RATE = 20.0  # how often a second movers are shown [Hz]
+BURST_GAP = 1.0  # the same thing again within this time is in the same line of the log [s]
 GOAL_RADIUS = 0.15  # of the ring around the goal [m]
 CIRCLE = np.exp(1j * np.linspace(0.0, math.tau, 33))
 BLUE = (60, 130, 240)
@@ -265,12 +266,12 @@ class EpisodeLogger:
             ("{total:,.0f} control periods aren't recorded", "WARN", stamps, lost),
             ("touches an obstacle", "ERROR", part.exchanges["stamp"], touched),
         ):
-            # The same thing again in the same part is in the same line.
             rows = np.flatnonzero(amounts > 0.0)
-            for first in rows[:1]:
-                total = amounts[rows].sum()
-                words = text.format(count=len(rows), total=total, worst=amounts.max())
-                yield float(times[first]) - part.start, words, level
+            pauses = np.flatnonzero(np.diff(times[rows]) > BURST_GAP) + 1
+            for burst in filter(len, np.split(rows, pauses)):
+                total = amounts[burst].sum()
+                words = text.format(count=len(burst), total=total, worst=amounts[burst].max())
+                yield float(times[burst[0]]) - part.start, words, level
 
         hits = part.movers.hits
         for row in np.flatnonzero(self._changes("hit", hits)):

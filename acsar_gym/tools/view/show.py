@@ -64,10 +64,12 @@ class RerunSink(Sink):
             self._finish_episode()
             self._begin_episode(number, part)
         self._logger.log(part)
-        self._end = float(part.stamps.max(initial=part.start)) - part.start
+        # The last part may have no tick, only the command to stop.
+        self._end = max(self._end, float(part.stamps.max(initial=part.start)) - part.start)
 
     def _begin_episode(self, number: int, part: Episode) -> None:
         self.count = number + 1
+        self._end = 0.0
         self._stream = rr.RecordingStream("acsar_gym")
         self._connect(self._stream)
         seed = part.info.get("seed")

@@ -127,6 +127,23 @@ def test_read_demonstrations_leaves_out_a_step_that_a_fault_ended(tmp_path: Path
     assert len(episode.observations) == steps + 1
 
 
+def test_read_demonstrations_replays_an_episode_that_lacks_a_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk that was too slow may have cost it."""
+    add = Recorder.add
+
+    def forget(recorder: Recorder, rows: Any) -> None:
+        if "steps" not in rows or rows["steps"][0] != 30:
+            add(recorder, rows)
+
+    monkeypatch.setattr(Recorder, "add", forget)
+    tape = record_env(tmp_path / "tape.mcap", "point_goal", 1)
+    assert len(read(tape).episodes[0].actions) == 39
+    (episode,) = read_demonstrations([tape]).episodes
+    assert len(episode.actions) == 40
+
+
 def record_robot(path: Path, happens: str = "", about: dict[str, Any] | None = None) -> Path:
     """Drive for 300 ticks, and call a method of the robot in between."""
     with Robot(open_link("planar", CONFIG), CONFIG, recorder=Recorder(path, about)) as robot:

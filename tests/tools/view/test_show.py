@@ -15,8 +15,8 @@ from scenes import HALL
 
 from acsar_gym import Robot, RobotConfig, open_link
 from acsar_gym.errors import ConfigError
-from acsar_gym.recording import Recorder, read
-from acsar_gym.recording.events import TABLES
+from acsar_gym.recording import Episode, Recorder, read
+from acsar_gym.recording.events import TABLES, Tables
 from acsar_gym.tools.view.entities import EpisodeLogger
 from acsar_gym.tools.view.show import RerunSink, save_recording, start_viewer
 from acsar_gym.worlds.world import to_odometry
@@ -146,6 +146,19 @@ def test_rerun_sink_that_fails_costs_no_recording(tmp_path: Path) -> None:
     assert not read(path).cut
 
 
+def test_rerun_sink_logs_the_end_at_the_last_tick(tape: Path, tmp_path: Path) -> None:
+    """Also if the last part has no tick."""
+    (episode,) = read(tape).episodes
+    path = tmp_path / "live.rrd"
+    sink = RerunSink(RobotConfig.of(None), {}, lambda stream: stream.save(path))
+    sink.show(0, episode)
+    sink.show(0, Episode(episode.head, Tables()))
+    sink.close(0)
+    (entities,) = read_rrd(path)
+    end = episode.stamps[-1] - episode.start
+    assert seconds(entities["/run/log"]["time"])[-1] == pytest.approx(end, abs=1e-6)
+
+
 def test_start_viewer_explains_why_it_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -183,3 +196,15 @@ def test_episode_logger_logs_what_happens(tape: Path, monkeypatch: pytest.Monkey
         "runs into a mover",
         "the cable is out",
     ]
+
+
+def test_episode_logger_logs_each_contact(tape: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a line of its own, unless it is within a second of the contact before."""
+    (episode,) = read(tape).episodes
+    episode.tables["exchanges"]["contact"][[4, 8, 115]] = 1.0
+    lines: list[tuple[float, str, str]] = []
+    logger = EpisodeLogger(rerun.RecordingStream("test"), RobotConfig.of(None), {})
+    monkeypatch.setattr(logger, "log_lines", lines.extend)
+    logger.log(episode)
+    times = [time for time, text, _ in lines if text == "touches an obstacle"]
+    assert times == pytest.approx([0.05, 1.16], abs=0.011)
