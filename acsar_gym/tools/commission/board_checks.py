@@ -58,6 +58,8 @@ ODD_SHARES = (0.83, 0.97, 0.89, 0.79)
 """Shares of the speed that four wheels are commanded, unlike any feedback of encoders."""
 SET_POINT_TIME = 0.6
 """Time for which they are commanded [s]."""
+TURNING_SPEED = 0.5
+"""Wheels that report more than this while zero is commanded seem to turn [rad/s]."""
 SLOW_RESPONSE = 0.1
 """A delay above this is worth a warning [s]."""
 SAME_RATE = 0.05
@@ -140,7 +142,7 @@ class BoardExamination:
             error = echo_error(device)
             yield Check("echo", "fail", error.found, error.fix)
 
-        probe.measure_rate(self.config.period)
+        lines = probe.measure_rate(self.config.period)
         expected = self.config.feedback_rate
         yield warn_if(
             probe.rate < 0.9 * expected,
@@ -162,6 +164,17 @@ class BoardExamination:
             f"{refused} bad parts in {decoder.lines} lines{sample}",
             "check the cable, ground and baud rate",
         )
+
+        # The median, as a noisy encoder of a wheel at rest counts in both directions.
+        turning = np.abs(np.median(lines.speeds, axis=0)) > TURNING_SPEED
+        if turning.any():
+            letters = ", ".join(MOTORS[place] for place in np.flatnonzero(turning))
+            yield Check(
+                "standing",
+                "warn",
+                f"{letters}: feedback isn't zero while zero is commanded",
+                "a wheel at rest: check its encoder; a turning wheel: what else commands the board",
+            )
         yield from self._check_resets()
 
     def _check_resets(self) -> Iterator[Check]:

@@ -39,6 +39,10 @@ HEADING_GAIN = 2.0
 """Turn rate for each radian off the wanted heading [1/s]."""
 RUN_TOLERANCE = 0.002
 """A run is braked this close to its end [m] or [rad]. The rest is rolled out and measured."""
+AT_REST_SPEED = 0.1
+"""Wheels below this are at rest [rad/s]."""
+AT_REST_TIME = 1.0
+"""A run ends where its wheels have been at rest for this long while it was braked [s]."""
 RUN_TIMEOUT = 5.0
 """A run that takes this much longer than three times its nominal time has failed [s]."""
 REST_TIME = 1.5
@@ -284,6 +288,7 @@ def _steer(robot: Robot, plan: RunPlan) -> Iterator[tuple[float, float]]:
     geometry = (*robot.config.wheel_radii, robot.config.effective_separation)
     goal = plan.distance or abs(plan.angle)
     seconds = 3.0 * goal / plan.speed + RUN_TIMEOUT
+    at_rest = 0
     for _ in range(math.ceil(seconds / robot.config.period)):
         # The twist of angles is a distance and a heading.
         way, heading = compute_twist(*robot.odometry.wheel_positions, *geometry)
@@ -293,6 +298,11 @@ def _steer(robot: Robot, plan: RunPlan) -> Iterator[tuple[float, float]]:
 
         # Slow down before the end, so that the robot neither slips nor overshoots.
         approach = APPROACH_GAIN * (goal - progress) / plan.speed
+        # Such slow wheels may stop in their deadband. The end is measured wherever it is.
+        is_at_rest = approach < 1.0 and max(map(abs, robot.speeds)) < AT_REST_SPEED
+        at_rest = at_rest + 1 if is_at_rest else 0
+        if at_rest * robot.config.period > AT_REST_TIME:
+            return
         speed = plan.speed * min(1.0, max(SLOWEST_SHARE, approach))
         if plan.distance:
             wanted = plan.angle * min(1.0, progress / goal)

@@ -52,6 +52,8 @@ NO_RAMP = 1e6
 """Acceleration of a board without a ramp [rad/s^2]: the largest of the field."""
 LONG_PAUSE = 2.0
 """A board whose wheels turn for this long without commands has no time-out [s]."""
+LEAST_TIME = 1e-3
+"""Lower end of intervals of times that can't be 0 [s]."""
 GAP_NOISE = 0.1
 """Difference of wheel speeds if a drive is repeated, RMS [rad/s]. `gap` can't see less.
 
@@ -496,7 +498,7 @@ def _find_times(fit: MotorFit | None, config: RobotConfig, missing: str) -> list
     if averaging:
         if abs(averages - fitted.window) > SAME_WINDOW:
             averages = max(1, round(fitted.window / dt)) * dt
-        window = window.tell(Estimate(averages, max(1e-3, averaging.low), averaging.high))
+        window = window.tell(Estimate(averages, max(LEAST_TIME, averaging.low), averaging.high))
 
     # What is best known is the delay to the middle of the window.
     if delayed:
@@ -510,7 +512,7 @@ def _find_times(fit: MotorFit | None, config: RobotConfig, missing: str) -> list
     longest = max(track.longest_pause for track in fit.problem.tracks)
     if fitted.timeout < longest - board_log.PAUSE_GAP / 2.0:
         if ended:
-            timeout = timeout.tell(Estimate(*(end - dt / 2.0 for end in ended)))
+            timeout = timeout.tell(Estimate(*(max(LEAST_TIME, end - dt / 2.0) for end in ended)))
     elif longest >= LONG_PAUSE:
         note = f"none: the wheels kept turning for {longest:.1f} s without commands"
         timeout = replace(timeout, note=note, told=True)

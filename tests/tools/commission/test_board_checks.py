@@ -127,6 +127,16 @@ def test_check_wiring_compares_what_was_seen_with_the_robots_file() -> None:
     assert (row.status, row.found) == ("warn", "as seen, unlike in the robot's file")
 
 
+def test_listen_warns_of_wheels_that_turn_while_zero_is_commanded() -> None:
+    link = board("no-timeout", robot=RobotConfig(motor={"time_constant": 50.0}))
+    link.write(b"ap00.00,bn09.00,cp00.00,dp09.00,\r\n")
+    for _ in range(2000):
+        link.advance(0.005)
+    rows = {row.name: row for row in BoardExamination(RobotConfig()).run(link)}
+    assert rows["standing"].status == "warn"
+    assert rows["standing"].found.startswith("b, d: feedback isn't zero")
+
+
 def test_run_refuses_wheels_that_never_stop() -> None:
     link = board("no-timeout", robot=RobotConfig(motor={"time_constant": 50.0}))
     link.write(b"ap09.00,bp09.00,cp09.00,dp09.00,\r\n")

@@ -120,3 +120,10 @@ def test_drive_run_fails_if_the_robot_does_not_move() -> None:
     robot = make_robot(ACSAR.with_(wheel_check=False), ACSAR.with_(motor={"deadband": 1000.0}))
     with pytest.raises(LinkError, match="only 0 of 540 degrees"):
         drive_run(robot, ENDS["turn"][0])
+
+
+def test_drive_run_ends_where_slow_wheels_stop_in_their_deadband() -> None:
+    robot = make_robot(twin=ACSAR.with_(motor={"deadband": 0.5}))
+    run = drive_run(robot, plan_turns(0.2, (0.3,), (0.0,), 1)[0])
+    turned = integrate_wheels(run.wheels, Geometry.of(ACSAR), ACSAR.wheel_separation)[2]
+    assert turned == pytest.approx(0.4 * math.pi, abs=0.1)

@@ -81,6 +81,13 @@ def test_robot_has_values_intervals_and_logs(hidden: Identification, tmp_path: P
     assert (robot.motor_fit, robot.misfit) == ("fits", "")
 
 
+def test_robot_can_be_written_for_a_very_short_timeout() -> None:
+    board = ACSAR.with_(firmware={"command_timeout": 0.012, "feedback_rate": 20.0})
+    robot = identify_simulated(board).robot()
+    assert robot.firmware.command_timeout == pytest.approx(0.012, abs=0.01)
+    assert robot.measured["firmware.command_timeout"].low == 1e-3
+
+
 @pytest.mark.parametrize(
     ("quirk", "message"),
     [
