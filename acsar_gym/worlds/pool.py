@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache, partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,12 @@ class Pool:
     """
 
     def __init__(self, sets: Sequence[WorldSet], radius: float = generators.DEFAULT_RADIUS) -> None:
-        """Check given worlds. Raises WorldError if a footprint can't cross one."""
+        """Check given worlds. Raises WorldError if a footprint can't cross one.
+
+        Also if worlds of two sets have the same name: only the first would be found by it.
+        """
+        for first, second in combinations(sets, 2):
+            _check_names(first, second)
         self.radius = radius
         self.sets = tuple(
             replace(group, worlds=tuple(check_world(world, radius) for world in group.worlds))
@@ -155,6 +161,18 @@ class Pool:
                 f"{levels[0]:.3g} to {levels[-1]:.3g}"
             )
         return range(first, last)
+
+
+def _check_names(first: WorldSet, second: WorldSet) -> None:
+    """Raise WorldError if two sets have different worlds of the same name."""
+    number = max(first.numbers[0], second.numbers[0])
+    is_shared = number in first.numbers and number in second.numbers
+    is_same = first.difficulty == second.difficulty and not (first.worlds or second.worlds)
+    if first.kind == second.kind and is_shared and not is_same:
+        raise WorldError(
+            f"two sets have a world '{first.kind} {number}': must have names or numbers of their "
+            "own; a list of nothing but World is one set"
+        )
 
 
 def _make_world(radius: float, group: WorldSet, number: int) -> World:

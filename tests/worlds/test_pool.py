@@ -19,7 +19,7 @@ from acsar_gym.resources import CACHE_VARIABLE
 from acsar_gym.worlds import cache, files, generators, registry
 from acsar_gym.worlds.pool import Pool
 from acsar_gym.worlds.registry import register
-from acsar_gym.worlds.sets import name_alone
+from acsar_gym.worlds.sets import WorldSet, name_alone
 from acsar_gym.worlds.world import Region, World, make_rectangle
 
 PILLAR = np.array([[0.0, 0.0, 0.5]])
@@ -103,6 +103,20 @@ def test_pool_of_several_sets_has_worlds_by_name() -> None:
     for key in (7, "clutter 9", "open"):
         with pytest.raises(WorldError, match="must be a name like 'clutter 17', of clutter 7 to 8"):
             pool[key]
+
+
+@pytest.mark.parametrize(
+    ("sets", "name"),
+    [
+        ([SOUND, "open:3", SOUND], "given 0"),
+        ([WorldSet.parse("clutter:5-9", 0.1), WorldSet.parse("clutter:8-12", 0.9)], "clutter 8"),
+    ],
+)
+def test_pool_refuses_two_worlds_of_one_name(sets: list[Any], name: str) -> None:
+    """By its name only the first was found, and the second was never driven."""
+    with pytest.raises(WorldError, match=f"two sets have a world '{name}'"):
+        Pool.of(sets)
+    assert len(Pool.of(["clutter:5-9", "clutter:8-12"])) == 10
 
 
 def test_pool_ranks_worlds_by_difficulty() -> None:

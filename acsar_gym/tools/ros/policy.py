@@ -355,6 +355,9 @@ class GoalEnv(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Do a step."""
+        # Without its thread the node would hear neither a cancel nor a new goal.
+        self._node.check()
+
         # The map may have been corrected since the last step.
         if self.goal.frame and self._start is not None:
             self._follow_goal(self._start)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError
+from acsar_gym.ros.node import RosSetupError
 from acsar_gym.tools.ros.policy import (
     Frames,
     Goal,
@@ -125,7 +126,8 @@ def test_goal_rules_are_those_of_the_task() -> None:
 
 def test_goal_env_stops_if_the_goals_place_is_lost() -> None:
     frames = make_frames()
-    env = GoalEnv(make_env("PointGoal-v0"), cast("Any", SimpleNamespace(frames=frames)))
+    node: Any = SimpleNamespace(frames=frames, check=lambda: None)
+    env = GoalEnv(make_env("PointGoal-v0"), node)
     with contextlib.closing(env):
         env.reset(seed=0, options={"goal": (2.0, 0.0)})
         env.goal = Goal(1.0, 3.0, "map")
@@ -137,6 +139,19 @@ def test_goal_env_stops_if_the_goals_place_is_lost() -> None:
             env.step(np.zeros(2, np.float32))
         del robot.stop
     assert stops == [1]
+
+
+def test_goal_env_ends_if_the_nodes_thread_has_failed() -> None:
+    """It drove on to the goal, deaf to a cancel."""
+
+    def fail() -> None:
+        raise RosSetupError("acsar_policy", "/", RuntimeError("rcl"))
+
+    node: Any = SimpleNamespace(frames=make_frames(), check=fail)
+    with contextlib.closing(GoalEnv(make_env("PointGoal-v0"), node)) as env:
+        env.reset(seed=0, options={"goal": (2.0, 0.0)})
+        with pytest.raises(RosSetupError, match="rcl"):
+            env.step(np.zeros(2, np.float32))
 
 
 def test_list_headings_look_along_the_path() -> None:
