@@ -48,7 +48,7 @@ def _make_instance(kind: type[Task], options: Mapping[str, Any], others: Iterabl
     # The parameters of the class are the task's options, as its docstring describes them.
     names = ["weights", *inspect.signature(kind).parameters]
     check_names(f"unknown option {{}} of {name}", options, names, ["link", "robot", *others])
-    fields = {key: _plain(value) for key, value in options.items() if key != "weights"}
+    fields = {key: _tupled(value) for key, value in options.items() if key != "weights"}
     with TranslatedErrors(ConfigError, lambda: name):
         try:
             task = kind(**fields)
@@ -62,10 +62,8 @@ def _make_instance(kind: type[Task], options: Mapping[str, Any], others: Iterabl
     return task
 
 
-def _plain(value: Any) -> Any:
-    """Convert arrays and lists of numbers to tuples: JSON, as in an env's spec, has no tuples."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
+def _tupled(value: Any) -> Any:
+    """Convert a list of numbers to a tuple: JSON, as in an env's spec, has no tuples."""
     is_numbers = isinstance(value, list) and all(isinstance(n, int | float) for n in value)
     return tuple(value) if is_numbers else value
 

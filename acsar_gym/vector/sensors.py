@@ -144,7 +144,8 @@ class BatchSensors:
             self._tables.observations[robots, self._first :] = np.hstack(numbers)
             self._sources = {}
             for reader in self._readers:
-                self._store_info(reader.sensor, reader.info(view, robots), robots)
+                with naming_sensor(reader.sensor):
+                    self._store_info(reader.sensor, reader.info(view, robots), robots)
         finally:
             rngs.give_back()
 
@@ -222,8 +223,7 @@ class SensorReader:
     def info(self, robots: SensorInput, places: Places) -> Mapping[str, Any]:
         """The sensor's info, each (n,)."""
         memory = name_memory(self.sensor, self._memory[:, places])
-        with naming_sensor(self.sensor):
-            return self.sensor.info(robots._replace(memory=memory))
+        return self.sensor.info(robots._replace(memory=memory))
 
     def _call(self, name: str, robots: SensorInput, places: Places, *out: Floats) -> None:
         """Call a method, and keep what it does to the memory and the generators."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from acsar_gym.errors import ConfigError
+from acsar_gym.errors import ConfigError, TranslatedErrors
 from acsar_gym.jit import record_of
 from acsar_gym.tasks.factory import task_name
 from acsar_gym.tasks.task import Task, info_names, is_compiled
@@ -39,8 +39,9 @@ class TaskLoop:
         # A row for each robot, and one with the first values.
         kinds = [(name, np.float64) for name in task.memory] or [("nothing", np.float64)]
         self._memory: NDArray[Any] = np.zeros(len(tables.rewards) + 1, kinds)
-        for name, value in task.memory.items():
-            self._memory[name][-1] = value
+        with TranslatedErrors(ConfigError, lambda: task_name(task)):
+            for name, value in task.memory.items():
+                self._memory[name][-1] = value
         self._arguments = (numbers_of(task), self._memory, tables)
 
     def run(self, first: int, last: int) -> None:

@@ -96,6 +96,25 @@ def test_numbers_may_be_text() -> None:
     assert PathFollow(max_cross_track="0.4").max_cross_track == 0.4  # type: ignore[arg-type]
 
 
+@dataclass(frozen=True, eq=False)
+class Posts(Plain):
+    """Has an option that is an array."""
+
+    posts: Any = None
+    compiled = True
+
+    def outcome(self, state: State, memory: Any) -> Outcome:
+        return Outcome.SUCCESS if self.posts[1, 0] == 2.0 else Outcome.GOING
+
+
+@pytest.mark.parametrize("kind", [RobotEnv, RobotVectorEnv])
+def test_task_gets_an_array_as_it_is(kind: Any) -> None:
+    env = kind(Posts, link="planar", posts=np.array([[1.0, 0.0], [2.0, 0.0]]))
+    env.reset(seed=0)
+    assert env.step(np.zeros(env.action_space.shape))[2]
+    env.close()
+
+
 def test_weights_reach_the_single_env_and_a_batch() -> None:
     weights = {"progress": 3.0, "time": 0.5}
     action = np.array([[1.0, 0.0]] * 2, np.float32)

@@ -160,6 +160,28 @@ def test_info_of_a_sensor_has_its_own_keys(sensors: tuple[Any, ...]) -> None:
         env.close()
 
 
+class Miscounting(Drifted):
+    """Its info is of more robots than there are."""
+
+    def info(self, robots: Any) -> dict[str, Any]:
+        return {"readings": np.zeros(len(robots.now) + 1)}
+
+
+class Speechless(Drifted):
+    """Its info returns nothing."""
+
+    def info(self, robots: Any) -> Any:
+        """Do nothing."""
+
+
+@pytest.mark.parametrize(
+    ("sensor", "message"), [(Miscounting, "ValueError: shape mismatch"), (Speechless, "NoneType")]
+)
+def test_info_of_a_wrong_kind_names_the_sensor(sensor: type[Sensor], message: str) -> None:
+    with pytest.raises(AcsarError, match=f"^sensor 'drifted': .*{message}"):
+        make_batch(sensor).reset(seed=0)
+
+
 class Misnames(Gyro):
     compiled = True
 

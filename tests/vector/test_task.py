@@ -31,6 +31,19 @@ def test_task_that_is_not_compiled_is_refused() -> None:
         RobotVectorEnv(Backwards)
 
 
+class Listing(PointGoal):
+    """Remembers a list, which a compiled task can't."""
+
+    memory: ClassVar[Mapping[str, Any]] = {"goal_distance": 0.0, "places": [0.0, 1.0]}
+    told = ("goal_distance",)
+    compiled = True
+
+
+def test_memory_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"^Listing: .*sequence"):
+        RobotVectorEnv(Listing)
+
+
 class Mixed(Task):
     """Returns numbers of several types."""
 
