@@ -13,10 +13,15 @@ from acsar_gym.streams import open_streams, run_guarded
 def main() -> None:
     """Entry point of the command."""
     open_streams()  # before anything else opens a file
-    if sys.argv[1:] in (["estop"], ["estop", "--release"]):
+    words = sys.argv[1:]
+    if words[:1] == ["estop"] and not {"--help", "-h"} & {*words}:
         from acsar_gym.guard import estop  # noqa: PLC0415
 
-        sys.exit(run_guarded(lambda: estop.run_command(release=sys.argv[2:] == ["--release"])))
+        is_release = words[1:] == ["--release"]
+        code = run_guarded(lambda: estop.run_command(release=is_release))
+        # A wrong word is reported, but doesn't keep robots from being stopped.
+        if is_release or not words[1:]:
+            sys.exit(code)
     from acsar_gym.tools import cli  # noqa: PLC0415
 
     cli.main()

@@ -8,6 +8,7 @@ import re
 import socket
 import stat
 import subprocess
+import sys
 import tempfile
 import threading
 import warnings
@@ -30,6 +31,7 @@ from serial_tools import (
 )
 
 from acsar_gym import Robot, RobotConfig
+from acsar_gym.__main__ import main
 from acsar_gym.errors import EmergencyStopError, SafetyWarning
 from acsar_gym.guard import estop
 from acsar_gym.guard.estop import Answer, StopListener
@@ -118,6 +120,20 @@ def test_estop_refuses_a_folder_that_is_too_long_for_sockets(
     stopped = run("estop")
     assert stopped.returncode == 3
     assert "too long for the address of a socket: set ACSAR_GYM_RUNTIME_DIR" in stopped.stderr
+
+
+def test_estop_with_a_wrong_word_stops_the_robots(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(estop, "ANSWER_TIMEOUT", 0.05)
+    monkeypatch.setattr(sys, "argv", ["acsar-gym", "estop", "/dev/ttyUSB0"])
+    with contextlib.closing(StopListener()) as listener:
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code == 2
+        assert "/dev/ttyUSB0" in capsys.readouterr().err
+        listener.is_requested()  # reads what has arrived
+        assert estop.is_held()
 
 
 def test_socket_of_a_dead_process_is_removed() -> None:
