@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import hashlib
 import importlib.util
 import os
@@ -91,8 +92,11 @@ def _read_sources(first: str) -> dict[str, bytes]:
             if isinstance(node, ast.Import):
                 imported += [alias.name for alias in node.names]
             elif isinstance(node, ast.ImportFrom):
-                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-                imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
+                # A file outside a package may try a relative import, which fails, before another.
+                with contextlib.suppress(ImportError):
+                    relative = "." * node.level + (node.module or "")
+                    base = importlib.util.resolve_name(relative, package)
+                    imported += [base, *(f"{base}.{alias.name}" for alias in node.names)]
 
         # This package's sources have a hash of their own.
         ours = {*sys.stdlib_module_names, "acsar_gym"}
@@ -105,6 +109,6 @@ def _source_file(name: str) -> Path | None:
     module = sys.modules.get(name)
     try:
         file = module.__file__ if module else getattr(importlib.util.find_spec(name), "origin", "")
-    except (ImportError, AttributeError, ValueError):
+    except Exception:  # noqa: BLE001 - imports the package of the module, which raises anything
         return None
     return Path(file) if file and file.endswith(".py") else None

@@ -174,6 +174,7 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     with require_extra("--address", "scale"):
+        import grpc  # noqa: PLC0415 - optional
         import ray  # noqa: PLC0415 - optional
     if ray.is_initialized():
         yield ray
@@ -184,7 +185,7 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
         cores = min(workers or MAX_WORKERS, os.cpu_count() or 1)
         options |= {"num_cpus": cores, "include_dashboard": False}
     try:
-        _check_address(address)
+        _check_address(grpc, address)
         ray.init(address=address, **options)
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
         problem = f"--address {show_value(address)}: {format_error(error)}"
@@ -195,8 +196,8 @@ def connect_cluster(address: str, workers: int | None = None) -> Iterator[Any]:
         ray.shutdown()
 
 
-def _check_address(address: str) -> None:
-    """Raise OSError unless something answers soon."""
+def _check_address(grpc: Any, address: str) -> None:
+    """Raise OSError unless something that speaks gRPC, as Ray does, answers soon."""
     place = os.environ.get("RAY_ADDRESS", address) if address == "auto" else address
     if place in ("auto", "local"):
         return  # Ray looks for a cluster of this machine, and soon reports that there is none
@@ -206,3 +207,10 @@ def _check_address(address: str) -> None:
             f"--address {show_value(address)}: must be local, auto, host:port or ray://host:port"
         )
     socket.create_connection((host, int(port)), CLUSTER_TIMEOUT).close()
+
+    # Ray would wait for another program, such as its dashboard, and SIGTERM wouldn't end it.
+    with grpc.insecure_channel(f"{host}:{port}") as channel:
+        try:
+            grpc.channel_ready_future(channel).result(CLUSTER_TIMEOUT)
+        except grpc.FutureTimeoutError as error:
+            raise ConnectionError("isn't a Ray cluster") from error

@@ -18,6 +18,7 @@ import pytest
 from job_tools import Job, broken, missing, square, threads
 
 from acsar_gym.errors import AcsarError, LinkError, MissingExtraError
+from acsar_gym.tools import jobs
 from acsar_gym.tools.jobs import run_jobs
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -137,3 +138,13 @@ def test_run_jobs_reports_an_address_that_doesnt_answer(
     monkeypatch.setenv("RAY_ADDRESS", address)
     with pytest.raises(LinkError, match=r"'auto': .*: start a cluster"):
         list(run_jobs(threads, [""], address="auto"))
+
+
+def test_run_jobs_reports_an_address_of_another_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray itself would wait for it without an end."""
+    pytest.importorskip("ray")
+    monkeypatch.setattr(jobs, "CLUSTER_TIMEOUT", 0.5)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(LinkError, match=f"--address '{address}': .*isn't a Ray cluster"):
+            list(run_jobs(threads, [""], address=address))

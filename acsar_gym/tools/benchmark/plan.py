@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import acsar_gym
-from acsar_gym.errors import ConfigError, PolicyError, show_value, suggest_name
+from acsar_gym.errors import AcsarWarning, ConfigError, PolicyError, show_value, suggest_name
 from acsar_gym.physics.bodies import BODIES
 from acsar_gym.physics.randomization import randomization_level
 from acsar_gym.registration import IDS
@@ -198,6 +199,14 @@ def choose_agents(
             raise ConfigError(
                 f"--agents {name}: has no policy for {missing[0].id} of set {missing[0].name}: "
                 "name other --sets, or leave it out"
+            )
+        # Trained policies may be for other ids, but their user would wait for a row.
+        if not chosen and name not in (PACKAGED, *BASELINES):
+            warnings.warn(
+                f"--trained: {name} has no policy for {', '.join(map(short_id, envs))} and doesn't "
+                "drive: name its --env or --sets",
+                AcsarWarning,
+                stacklevel=2,
             )
         # An agent that the user named drives even if it knows the simulator's truth.
         agents += chosen if names else filter(_is_default, chosen)

@@ -236,7 +236,8 @@ def write_csv(path: Path, result: Mapping[str, Any]) -> None:
     stream = io.StringIO()
     names = dict.fromkeys(name for line in lines for name in line)
     writer = csv.DictWriter(stream, list(names), lineterminator="\n")
-    writer.writeheader()
+    if lines:  # an empty file may be replaced, one with an empty line not
+        writer.writeheader()
     writer.writerows(lines)
     reading.write_atomically(path, stream.getvalue().encode())
 
@@ -292,13 +293,13 @@ def draw_figure(rows: Sequence[Row], kind: str) -> bytes:
         ends = [row["score"] if end is None else end for end in row["intervals"]["score"]]
         seeds = row["seed_scores"]
         axis.plot(ends, [place, place], "|-", color="C0")
-        axis.plot(row["score"], place, "o", color="C0")
+        axis.plot([row["score"]], [place], "o", color="C0")  # None isn't drawn
         axis.plot(seeds, [place] * len(seeds), ".", color="C1", zorder=3, markersize=4.0)
 
     # The best agent of a place is at its top.
     labels = [", ".join(filter(None, [*main_cells(row).values()][:4])) for row in rows]
     axis.set_yticks(range(len(rows)), labels)
-    axis.set(ylim=(len(rows) - 0.5, -0.5), xlim=(0.0, None))
+    axis.set(ylim=(max(len(rows), 1) - 0.5, -0.5), xlim=(0.0, None))
     axis.set_xlabel("score, 95 % interval, seeds")
     axis.grid(axis="x")
     stream = io.BytesIO()

@@ -27,6 +27,7 @@ from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.runs import EpisodeJob
 from acsar_gym.tools.jobs import run_jobs
 from acsar_gym.tools.training.folders import make_folder
+from acsar_gym.tools.training.recipes import name_errors
 
 PLAN_FILE = "plan.json"
 CELLS_FILE = "cells.jsonl"
@@ -44,14 +45,14 @@ def open_folder(plan: Plan, out: Path | None, resume: Path | None) -> Path:
         resume: Folder of a benchmark that is to be continued.
 
     Raises:
-        ConfigError: `out` isn't empty, `resume` was made by another plan, or there are too few
-            scenes.
+        ConfigError: `out` isn't empty, `resume` was made by another plan, or a set doesn't have
+            these scenes.
     """
     if resume is None and out is not None and out.is_dir() and any(out.iterdir()):
         raise ConfigError(
             f"--out {out}: isn't empty: name a new folder, or --resume {shlex.quote(str(out))}"
         )
-    # Checked before there is a folder, so that a corrected command can use the same name.
+    # Before the folder is made: a folder with the plan of wrong scenes couldn't be used.
     for scenes in plan.sets:
         scenes.check(plan.count_scenes(scenes))
 
@@ -64,11 +65,12 @@ def open_folder(plan: Plan, out: Path | None, resume: Path | None) -> Path:
         return folder
 
     # Results of a benchmark are comparable only if nothing has changed while it ran.
-    old = reading.parse_json(reading.read_file(resume / PLAN_FILE, MAX_FILE_BYTES))
+    with name_errors(f"--resume {resume}: {PLAN_FILE}"):
+        old = reading.parse_json(reading.read_content(resume / PLAN_FILE, MAX_FILE_BYTES))
     for name in find_changes(old, about):
         raise ConfigError(
-            f"--resume {resume}: {name} has changed since the benchmark was started: start a "
-            "new one, without --resume"
+            f"--resume {resume}: {name or PLAN_FILE} has changed since the benchmark was started: "
+            "start a new one, without --resume"
         )
     return resume
 
@@ -133,13 +135,13 @@ def drive_cell(job: EpisodeJob) -> CellResult:
 
 
 def read_results(folder: Path, cells: Sequence[Cell]) -> dict[Cell, CellResult]:
-    """Read the finished cells of a folder. A line that a full disk or a kill cut is left out."""
+    """Read the finished cells of a folder. A line that is cut or damaged is left out."""
     # It is there once a cell is finished.
     file = folder / CELLS_FILE
     lines = reading.read_file(file, MAX_FILE_BYTES).splitlines() if file.exists() else []
     results: dict[Cell, CellResult] = {}
     for line in lines:
-        with contextlib.suppress(ValueError):
+        with contextlib.suppress(ValueError, TypeError, LookupError, AttributeError):
             data = json.loads(line)
             (cell,) = [cell for cell in cells if cell.about.items() <= data.items()]
             episodes = [Episode(**values) for values in data["episodes"]]

@@ -216,7 +216,7 @@ def summary_table(
 
 
 def write_evaluation_page(
-    path: Path, title: str, summary: Summary, episodes: Sequence[Episode]
+    path: Path, title: str, link: str, summary: Summary, episodes: Sequence[Episode]
 ) -> None:
     """Write an evaluation as an HTML page, see `page.write_page`."""
     page.check_report_extra()
@@ -233,7 +233,7 @@ def write_evaluation_page(
 
     # Pages of worlds without people don't explain their figures.
     note = "" if math.isnan(summary.closest_person) else f"\n{PEOPLE_NOTE}"
-    figures = {"mean and 95 % interval": figure_cells(summary.as_row())}
+    figures = {link: {**count_cells(summary), **figure_cells(summary.as_row())}}
     sections = [
         page.Section("All figures", f"{INTERVAL_NOTE}{note}", fill_cells(list_lines(figures))),
         page.Section("Episodes", figures=[plot]),

@@ -54,8 +54,9 @@ MAX_EPISODES = 10**6
 """Most episodes of one evaluation: all results are kept in memory."""
 SEED_LIMIT = 2**63
 """The first seed must be below this."""
-MAX_PART_EPISODES = 250
-"""Most episodes of a job, so that an interrupt loses little."""
+MAX_PART_EPISODES = 10
+MAX_BATCHED_EPISODES = 250
+"""Most episodes of a job, one by one and in planar batches, so that an interrupt loses little."""
 PARTS_PER_WORKER = 4
 """Jobs of each worker, at least, so that workers finish at about the same time."""
 
@@ -353,7 +354,8 @@ def _run_parts(job: EpisodeJob, workers: int) -> Generator[Episode, None, None]:
     """Run a job in several processes, and yield its episodes in order of completion."""
     # Parts are so small that no worker waits long for the last of them.
     count = len(job.resets)
-    size = max(1, min(MAX_PART_EPISODES, count // (PARTS_PER_WORKER * max(1, workers))))
+    limit = MAX_BATCHED_EPISODES if job.link == "planar" else MAX_PART_EPISODES
+    size = max(1, min(limit, count // (PARTS_PER_WORKER * max(1, workers))))
     parts = [replace(job, resets=job.resets[i : i + size]) for i in range(0, count, size)]
     with contextlib.closing(run_jobs(run_job, parts, workers)) as results:
         for _, driven in results:

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from policy_tools import relabelled
 
-from acsar_gym.errors import AcsarError, CancelledError, ConfigError, PolicyError
+from acsar_gym.errors import AcsarError, AcsarWarning, CancelledError, ConfigError, PolicyError
 from acsar_gym.resources import AGENTS
 from acsar_gym.tools.benchmark import plan, runner
 from acsar_gym.tools.benchmark.plan import Agent, Cell, Plan, choose_agents
@@ -74,7 +74,8 @@ def test_run_plan_continues_an_interrupted_benchmark(
     assert caught.value.exit_code == 130
 
     with (folder / runner.CELLS_FILE).open("a", encoding="utf-8") as file:
-        file.write('\n{"agent": "turn_dr')  # a full disk cut it
+        # Damaged lines, and another that a full disk cut.
+        file.write(f'\n[1]\n{json.dumps(next(wanted.cells()).about)}\n{{"agent": "turn_dr')
     assert runner.open_folder(wanted, None, folder) == folder
     assert describe(runner.run_plan(wanted, folder)) == describe(expected)
     assert describe(runner.run_plan(wanted, folder)) == describe(expected)
@@ -93,10 +94,16 @@ def test_open_folder_makes_the_next_number(tmp_path: Path, monkeypatch: pytest.M
         runner.open_folder(make_plan(count=3), None, folders[0])
 
 
-def test_open_folder_makes_none_for_too_many_scenes(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="were asked for"):
-        runner.open_folder(make_plan(count=100_000), tmp_path / "run", None)
-    assert not (tmp_path / "run").exists()
+def test_open_folder_with_wrong_scenes_or_a_damaged_plan(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    with pytest.raises(ConfigError, match="has 1,000 scenes, 1,001 were asked for"):
+        runner.open_folder(make_plan(count=1001), folder, None)
+    assert not folder.exists()
+
+    runner.open_folder(make_plan(), folder, None)
+    (folder / runner.PLAN_FILE).write_text("{")
+    with pytest.raises(ConfigError, match=r"--resume .*run: plan\.json: not valid JSON"):
+        runner.open_folder(make_plan(), None, folder)
 
 
 @pytest.mark.parametrize("name", list(plan.CONDITIONS))
@@ -168,6 +175,14 @@ def test_choose_agents_refuses_trained_policies_of_other_packages(tmp_path: Path
     relabelled(file, env="mine/Task-v0")
     with pytest.raises(PolicyError, match=r"made for 'mine/Task-v0', .*name it with --env"):
         choose(trained=tmp_path)
+
+
+def test_choose_agents_reports_trained_policies_of_other_ids(tmp_path: Path) -> None:
+    file = tmp_path / "ours" / "seed-1" / "policy.onnx"
+    file.parent.mkdir(parents=True)
+    shutil.copy(AGENTS / "policies" / "barn.onnx", file)
+    with pytest.warns(AcsarWarning, match="ours has no policy for PointGoal-v0 .*name its --env"):
+        assert "ours" not in [agent.name for agent in choose(trained=tmp_path)]
 
 
 def test_open_folder_hashes_what_an_agent_imports(module: str, tmp_path: Path) -> None:

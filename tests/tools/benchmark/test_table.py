@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -133,6 +134,19 @@ def test_write_csv_latex_and_figure(result: dict[str, Any], tmp_path: Path) -> N
         report.write_figure(tmp_path / name, result)
         check_replaceable(tmp_path / name, report.FIGURE_MARKS[name[-4:]])
         assert (tmp_path / name).stat().st_size > 5000
+
+
+def test_write_csv_and_figure_of_no_rows_or_unknown_scores(tmp_path: Path) -> None:
+    refused = result_of({cell("other", "baseline"): CellResult(refused="needs a LiDAR")})
+    report.write_csv(tmp_path / "table.csv", refused)
+    check_replaceable(tmp_path / "table.csv", report.CSV_MARK)
+
+    # A score that the task doesn't know at the end.
+    unknown = result_of({cell("ours"): driven((math.nan, math.nan))})
+    pytest.importorskip("matplotlib")
+    for result in (refused, unknown):
+        with warnings.catch_warnings(action="error"):
+            report.write_figure(tmp_path / "scores.svg", result)
 
 
 def test_write_benchmark_page(result: dict[str, Any], tmp_path: Path) -> None:

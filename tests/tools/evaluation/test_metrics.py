@@ -127,10 +127,13 @@ def test_summary_table_has_a_line_for_each_known_figure() -> None:
 
 def test_write_evaluation_page(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
-    episodes = [result(seed=0)] * 3
+    episodes = [result(seed=0), result(seed=1), result(seed=2, valid=False)]
     path = tmp_path / "page.html"
-    report.write_evaluation_page(path, "episodes", summarise_episodes(episodes), episodes)
+    summary = summarise_episodes(episodes)
+    report.write_evaluation_page(path, "episodes", "/dev/ttyUSB0", summary, episodes)
     html = path.read_text(encoding="utf-8")
+    assert "<th>/dev/ttyUSB0</th>" in html
+    assert "<td>invalid</td><td>1</td>" in html
     assert "<td>success [%]</td><td>100.0 (43.9 to 100.0)</td>" in html
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from acsar_gym.errors import ConfigError, PolicyError
+from acsar_gym.resources import hash_modules
 from acsar_gym.tools.evaluation import provenance, runs
 from acsar_gym.tools.jobs import run_jobs
 from acsar_gym.tools.policies import FilePolicy
@@ -90,6 +91,20 @@ def test_make_header_hashes_worlds_and_robots() -> None:
     assert len(hashes | {worlds}) == 5
 
 
+def test_hash_modules_of_files_that_try_imports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Imports that fail are those of an optional module, not an error after all episodes."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "broken_package").mkdir()
+    (tmp_path / "broken_package" / "__init__.py").write_text("raise RuntimeError\n")
+    imports = ("from .gains import GAIN", "import broken_package.gains")
+    for number, line in enumerate(imports):
+        text = f"try:\n    {line}\nexcept (ImportError, RuntimeError):\n    GAIN = 0.8\n"
+        (tmp_path / f"trying_{number}.py").write_text(text)
+        assert len(hash_modules(f"trying_{number}")) == 64
+
+
 ACT = "def act(observation):\n    return 0.5 + 0.1 * float(observation[0]), 0.3\n"
 
 
@@ -121,6 +136,21 @@ def test_evaluate_policy_with_two_workers_gives_the_same_results(
     assert sizes == [2] * 8 + [1]
     assert [run.header.pop("workers") for run in (alone, shared)] == [1, 2]
     assert json.dumps(alone.as_dict()) == json.dumps(shared.as_dict())
+
+
+def test_evaluate_policy_sends_small_jobs_to_slow_simulations(
+    policy: FilePolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C loses the episodes of jobs that aren't finished."""
+    sizes: set[int] = set()
+
+    def run_nothing(_function: Any, jobs: Any, *_: Any) -> Any:
+        sizes.update(len(job.resets) for job in jobs)
+        yield from ()
+
+    monkeypatch.setattr(runs, "run_jobs", run_nothing)
+    runs.evaluate_policy(policy, "bullet", None, range(1000), workers=2, worlds="open")
+    assert sizes == {10}
 
 
 @pytest.mark.parametrize(

@@ -194,7 +194,9 @@ def evaluate_policy(evaluation: EvaluationOptions) -> int:
     # An evaluation that ended early has a page and figures of its finished episodes.
     title = f"{evaluation.policy}, seeds {seeds[0]} to {seeds[-1]}, worlds: {run.worlds}"
     if evaluation.html is not None and run.results:
-        report.write_evaluation_page(evaluation.html, title, run.summary, run.results)
+        report.write_evaluation_page(
+            evaluation.html, title, evaluation.link, run.summary, run.results
+        )
     return report_run(title, evaluation.link, run, evaluation)
 
 
