@@ -146,12 +146,13 @@ class _Process:
                 self.fault = error
 
     def add(self, listener: StopListener) -> None:
-        """Listen for a robot."""
+        """Listen for a robot. Idempotent."""
         with self._lock:
-            # No loop reads the requests of a robot that is dropped and not closed. The newest
-            # reference is called back first, and when this one is, the set must be without it.
-            weakref.finalize(listener, self._note_drop)
-            self._listeners.add(listener)
+            if listener not in self._listeners:
+                # No loop reads the requests of a robot that is dropped and not closed. The newest
+                # reference is called back first, and when this one is, the set must be without it.
+                weakref.finalize(listener, self._note_drop)
+                self._listeners.add(listener)
             self.listen()
 
     def _note_drop(self) -> None:
@@ -262,6 +263,7 @@ class StopListener:
 
     def connect(self) -> None:
         """Call when the robot is connected. A stop that holds the process stops it as well."""
+        _process.add(self)  # a forked child has left its parent's socket
         self.is_connected = True
         self.is_pending = _process.is_held
 
@@ -347,6 +349,8 @@ def _ask_processes(request: bytes) -> list[Answer]:
     try:
         asker = _bind_socket("estop")
     except LinkError:  # as on a full disk: requests are sent, but no answers come
+        if not names:  # in a folder whose path is too long, no process can listen either
+            raise
         asker = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         asker.setblocking(False)
     answers = {name: b"" for name in names if _send_request(asker, folder / name, request)}

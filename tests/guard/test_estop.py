@@ -80,6 +80,14 @@ def test_estop_without_a_robot() -> None:
     assert run("estop", "--list").returncode == 2
 
 
+def test_estop_reports_a_folder_whose_path_is_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    base = os.environ["ACSAR_GYM_RUNTIME_DIR"]
+    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", f"{base}/{'x' * 120}")
+    result = run("estop")
+    assert result.returncode == 3
+    assert "path too long: set ACSAR_GYM_RUNTIME_DIR" in result.stderr
+
+
 def test_socket_is_shared_and_only_its_owner_can_use_it(folder: Path) -> None:
     """Simulated robots have no socket."""
     with Robot(open_link("planar", ACSAR), ACSAR):
@@ -267,6 +275,25 @@ def test_estop_holds_a_forked_child(folder: Path) -> None:
     assert len(list(folder.iterdir())) == 1
     estop.release_process()
     listener.close()
+
+
+def test_estop_stops_a_robot_that_a_forked_child_connects_again(folder: Path) -> None:
+    """The child has a copy of a robot that listened in its parent."""
+    listener = StopListener()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child == 0:
+        with contextlib.suppress(BaseException):
+            listener.connect()
+            wait_until(listener.is_requested, "a stop")
+            listener.confirm()
+        os._exit(0)
+
+    listener.close()
+    wait_until(lambda: list(folder.iterdir()), "the child's socket")
+    assert estop.stop_all() == [Answer(child, b"stopped")]
+    os.waitpid(child, 0)
 
 
 INSISTING = f"""
