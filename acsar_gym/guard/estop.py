@@ -30,8 +30,6 @@ from acsar_gym.streams import print_error
 FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
 """Environment variable: parent of the folder with the sockets. It is /tmp by default, which, unlike
 XDG_RUNTIME_DIR, is the same in services and terminals, and remains when the user logs out."""
-MAX_FOLDER_BYTES = 80
-"""Longest path of the folder [bytes]. The address of a socket has at most 103 on every system."""
 OTHER_FOLDER = f"set {FOLDER_VARIABLE} to a folder of yours, the same in every terminal"
 """What to do if the folder can't be used."""
 
@@ -76,8 +74,6 @@ def make_folder() -> Path:
     folder = Path(os.environ.get(FOLDER_VARIABLE) or "/tmp", name)  # noqa: S108 - it is checked
     if not folder.is_absolute():
         raise LinkError(f"{folder}: isn't an absolute path", OTHER_FOLDER)
-    if len(os.fsencode(folder)) > MAX_FOLDER_BYTES:
-        raise LinkError(f"{folder}: too long for the address of a socket", OTHER_FOLDER)
 
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -121,15 +121,6 @@ def test_stop_that_was_not_read_holds_after_the_robot_was_dropped(
     assert len(list(folder.iterdir())) == 1, "the release must reach the process"
 
 
-def test_estop_refuses_a_folder_that_is_too_long_for_sockets(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("ACSAR_GYM_RUNTIME_DIR", str(folder / ("x" * 80)))
-    stopped = run("estop")
-    assert stopped.returncode == 3
-    assert "too long for the address of a socket: set ACSAR_GYM_RUNTIME_DIR" in stopped.stderr
-
-
 def test_estop_with_a_wrong_word_stops_the_robots(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
