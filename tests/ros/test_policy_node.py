@@ -138,7 +138,14 @@ def test_policy_refuses_goals_with_a_line(driver: Program, start_policy: StartPo
         assert policy.program.printed.count("refused: ") == count
     assert math.hypot(*policy.place) < 1e-6
 
-    policy.give(1.0, 0.0)  # and it goes on
+    # A goal may come before the transform of its frame.
+    transforms = policy.client.publisher(TFMessage, "tf")
+    placed = TransformStamped(child_frame_id="late")
+    placed.header.frame_id = "odom"
+    placed.transform.rotation.w = 1.0
+    policy.give(1.0, 0.0, "late")
+    policy.client.spin(0.3)
+    transforms.publish(TFMessage(transforms=[placed]))
     assert policy.end() == 0
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -33,10 +34,16 @@ POLICY_NODE = "acsar_policy"
 DEFAULT_POLICY = "point_goal"
 IDLE_PERIOD = 0.05
 """How soon a goal is noticed while the robot is at rest [s]."""
+FRAME_TIMEOUT = 2.0
+"""Longest wait until a goal's place is known, while the robot is at rest [s]."""
 
 
 class GoalError(ConfigError):
     """A goal to which the policy doesn't drive."""
+
+
+class UnknownPlaceError(GoalError):
+    """A goal or a robot whose place isn't known, perhaps only not yet."""
 
 
 class Goal(NamedTuple):
@@ -100,7 +107,7 @@ class Frames:
 
         pose = self.find_base() if frame == self._base else self._find(frame)
         if pose is None:
-            raise GoalError(
+            raise UnknownPlaceError(
                 f"{goal}: no transforms on /tf and /tf_static connect this frame with "
                 f"{show_value(self._odom)}"
             )
@@ -192,6 +199,7 @@ class PolicyNode(RosNode):
         self.frames = Frames("odom", "base_link")
         self.rules = GoalRules(0.0, math.inf)
         self.goal: Goal | None = None
+        self._waiting: tuple[Goal, float] | None = None
         self.is_driving = False
         self.is_cancelled = False
 
@@ -214,6 +222,27 @@ class PolicyNode(RosNode):
         self.node.create_service(self.ros.Trigger, "~/cancel", self._cancel)
         self.say(f"{about}: waits for goals")
 
+    def retry_goal(self) -> None:
+        """Take the goal that was given, as soon as its place is known. Refuse it after a while."""
+        waiting = self._waiting
+        if waiting is None:
+            return
+
+        goal, deadline = waiting
+        try:
+            # A goal that can't be reached doesn't end the previous one.
+            self.find_place(goal)
+            self.goal = self.frames.fix_goal(goal)
+        except GoalError as error:
+            is_unknown = isinstance(error, UnknownPlaceError)
+            if is_unknown and not self.is_driving and time.monotonic() < deadline:
+                return
+            self.warn(f"refused: {error}")
+
+        # The thread may have got another goal meanwhile.
+        if self._waiting is waiting:
+            self._waiting = None
+
     def take_goal(self) -> Goal:
         """Take the newest goal, to drive to it."""
         goal = self.goal
@@ -235,7 +264,7 @@ class PolicyNode(RosNode):
             in_odom = self.frames.find_goal(goal)
             base = self.frames.find_base()
             if base is None:
-                raise GoalError(
+                raise UnknownPlaceError(
                     f"{goal}: neither /tf nor the odometry's topic has the robot's pose in "
                     f"{show_value(self._odom_frame)}"
                 )
@@ -290,18 +319,17 @@ class PolicyNode(RosNode):
         """Take a goal, which ends the previous one. Its yaw isn't used."""
         place = message.pose.position
         goal = Goal(place.x, place.y, message.header.frame_id)
-        try:
-            # A goal that can't be reached doesn't end the previous one.
-            self.find_place(goal)
-            self.goal = self.frames.fix_goal(goal)
-        except GoalError as error:
-            self.warn(f"refused: {error}")
+        # A node that has just started may not have the transforms yet.
+        self._waiting = (goal, time.monotonic() + FRAME_TIMEOUT)
+        self.retry_goal()
 
     def _cancel(self, _: Any, response: Any) -> Any:
-        response.success = self.is_driving or self.goal is not None
+        has_goal = self.goal is not None or self._waiting is not None
+        response.success = self.is_driving or has_goal
         response.message = "cancelled" if response.success else "nothing is driven"
         self.is_cancelled = self.is_driving
         self.goal = None
+        self._waiting = None
         return response
 
 
@@ -426,6 +454,7 @@ def drive_goals(
         # The robot is at rest, and its link goes on, so that failures and stops are noticed.
         while node.goal is None:
             node.check()
+            node.retry_goal()
             robot.check_estop()
             if robot.safety.stopped:
                 raise EmergencyStopError
