@@ -29,6 +29,7 @@ from __future__ import annotations
 import contextlib
 import copyreg
 import difflib
+import errno
 import os
 import reprlib
 from collections.abc import Callable, Iterable, Iterator
@@ -40,6 +41,8 @@ BUSY_HINT = "stop other programs, or put this one ahead of them with 'chrt --fif
 """What to do on a busy computer."""
 MORE_FILES_ADVICE = "close some, or allow more with 'ulimit -n'"
 """What to do about too many open files."""
+TOO_MANY_FILES = (errno.EMFILE, errno.ENFILE)
+"""Numbers of such errors."""
 _PACKAGE = f"{Path(__file__).parent}{os.sep}"
 
 

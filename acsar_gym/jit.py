@@ -11,7 +11,6 @@ import contextlib
 import logging
 import os
 import shutil
-import sys
 import threading
 from collections import namedtuple
 from collections.abc import Callable
@@ -24,7 +23,7 @@ import numba.extending
 import numpy as np
 from numba.core.caching import FunctionCache
 
-from acsar_gym.resources import PACKAGE, cache_folder, hash_sources
+from acsar_gym.resources import PACKAGE, cache_folder, hash_sources, package_version
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -110,13 +109,12 @@ def find_folder(module: str, numba_folder: str) -> str:
     Raises:
         RuntimeError: No folder can be written.
     """
-    version = sys.modules["acsar_gym"].__version__
     # Modules of tools/ use the compiled functions of both.
     sources = FINGERPRINT[:16]
     if module.startswith("acsar_gym.tools."):
         sources += hash_sources(TOOLS)[:16]
     for parent in (numba_folder, PACKAGE / "__pycache__", cache_folder("compiled")):
-        folder = Path(parent or os.devnull, f"acsar_gym-{version}-{sources}")
+        folder = Path(parent or os.devnull, f"acsar_gym-{package_version()}-{sources}")
         if not folder.exists():
             with contextlib.suppress(OSError):
                 folder.mkdir(parents=True, exist_ok=True)

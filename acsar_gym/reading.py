@@ -101,6 +101,15 @@ def decode_text(data: bytes, error: type[AcsarError] = ConfigError) -> str:
         raise error("isn't UTF-8 text: save it as UTF-8") from problem
 
 
+@contextlib.contextmanager
+def name_errors(*names: object) -> Iterator[None]:
+    """Put file and keys in front of the errors that are raised in this context."""
+    try:
+        yield
+    except (ConfigError, TypeError, ValueError) as error:
+        raise ConfigError(": ".join([*map(str, names), str(error)])) from error
+
+
 def write_atomically(path: Path, data: bytes, error: type[AcsarError] = ConfigError) -> None:
     """Write a file as `replace_file` does.
 

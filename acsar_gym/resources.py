@@ -22,6 +22,12 @@ CACHE_VARIABLE = "ACSAR_GYM_CACHE"
 """Environment variable that names another cache folder. "off" keeps nothing."""
 
 
+def package_version() -> str:
+    """Return the version of this package, also if it is used from its folder, not installed."""
+    version: str = sys.modules["acsar_gym"].__version__
+    return version
+
+
 def cache_folder(name: str) -> Path | None:
     """Return a folder in the user's cache. None if nothing is to be kept."""
     folder = os.environ.get(CACHE_VARIABLE)

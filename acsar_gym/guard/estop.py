@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import errno
 import os
 import re
 import socket
@@ -24,7 +23,13 @@ import weakref
 from pathlib import Path
 from typing import NamedTuple
 
-from acsar_gym.errors import MORE_FILES_ADVICE, EmergencyStopError, LinkError, SafetyWarning
+from acsar_gym.errors import (
+    MORE_FILES_ADVICE,
+    TOO_MANY_FILES,
+    EmergencyStopError,
+    LinkError,
+    SafetyWarning,
+)
 from acsar_gym.streams import print_error
 
 FOLDER_VARIABLE = "ACSAR_GYM_RUNTIME_DIR"
@@ -106,7 +111,7 @@ def _bind_socket(name: str) -> socket.socket:
     except OSError as error:
         if bound is not None:
             bound.close()
-        is_full = error.errno in (errno.EMFILE, errno.ENFILE)
+        is_full = error.errno in TOO_MANY_FILES
         advice = MORE_FILES_ADVICE if is_full else OTHER_FOLDER
         raise LinkError(f"{path}: no socket: {error.strerror or error}", advice) from error
     return bound

@@ -22,7 +22,6 @@ POSIX only: Windows processes can't share an open port in this way (see `WATCHDO
 from __future__ import annotations
 
 import contextlib
-import errno
 import math
 import mmap
 import os
@@ -34,7 +33,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO
 
-from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, LinkError
+from acsar_gym.errors import BUSY_HINT, MORE_FILES_ADVICE, TOO_MANY_FILES, LinkError
 
 WATCHDOG_AVAILABLE = os.name == "posix"  # whether watchdogs work on this operating system
 CHILD_TIMEOUT = 5.0  # longest wait for its start and its end [s], usually 20 ms and 1 ms
@@ -288,6 +287,6 @@ def _start_error(reason: str, code: int | None = None) -> LinkError:
         f"check that {sys.executable} can run {CHILD_PROGRAM}; watchdog_timeout=None drives "
         "without one"
     )
-    if code in (errno.EMFILE, errno.ENFILE):
+    if code in TOO_MANY_FILES:
         advice = MORE_FILES_ADVICE
     return LinkError(f"the watchdog can't be started ({reason})", advice)

@@ -19,7 +19,14 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports
 
-from acsar_gym.errors import MORE_FILES_ADVICE, ConfigError, LinkError, LinkLostError, PortBusyError
+from acsar_gym.errors import (
+    MORE_FILES_ADVICE,
+    TOO_MANY_FILES,
+    ConfigError,
+    LinkError,
+    LinkLostError,
+    PortBusyError,
+)
 from acsar_gym.links.base import WHILE_WAITING
 
 BY_ID_FOLDER = Path("/dev/serial/by-id")  # persistent names: vendor, product, serial number
@@ -213,7 +220,7 @@ def _opening_error(device: str, error: Exception) -> LinkError:
         return PortBusyError(
             f"{device}: in use by another process", f"close it first; find it with 'fuser {device}'"
         )
-    if code in (errno.EMFILE, errno.ENFILE):
+    if code in TOO_MANY_FILES:
         return LinkError(f"{device}: too many open files", MORE_FILES_ADVICE)
     return LinkError(f"{device}: can't be opened as a serial port", str(error))
 

@@ -26,7 +26,6 @@ import platform
 import time
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import cache
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -40,6 +39,7 @@ from acsar_gym.odometry import POSE_COVARIANCE
 from acsar_gym.protocol import WHEELS
 from acsar_gym.recording.blocks import FORMAT
 from acsar_gym.recording.events import Table, Tables
+from acsar_gym.resources import package_version
 
 Floats = NDArray[np.float64]
 
@@ -104,14 +104,6 @@ LATCHED_QOS = """- history: 3
   avoid_ros_namespace_conventions: false
 """
 """Quality of service for topics whose newest message late listeners get, as rosbag2 writes it."""
-
-
-def package_version() -> str:
-    """Return the version of this package."""
-    try:
-        return metadata.version("acsar_gym")
-    except metadata.PackageNotFoundError:  # used from its folder, not installed
-        return "unknown"
 
 
 def to_plain_json(value: Any) -> Any:

@@ -21,10 +21,10 @@ from acsar_gym.recording.messages import (
     LATCHED_QOS,
     Publisher,
     define,
-    package_version,
     prepare_messages,
     to_plain_json,
 )
+from acsar_gym.resources import package_version
 
 try:
     import fcntl

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from acsar_gym.errors import ConfigError
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.options import check_distances, check_positive
+from acsar_gym.tasks.options import check_distances, store_positive
 from acsar_gym.tasks.state import Goal, Pose, State
 from acsar_gym.tasks.task import (
     OBSERVATION_LIMIT,
@@ -139,20 +139,16 @@ class PointGoal(GoalTask):
 
     def __post_init__(self) -> None:
         distances = check_distances(self.goal_distance)
-        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
+        object.__setattr__(self, "goal_distance", distances)
+        tolerance = store_positive(self, "goal_tolerance")
         # A goal that is nearer than the tolerance would be reached before the first step.
         if tolerance >= distances[0]:
             raise ConfigError(
                 f"goal_tolerance = {tolerance:g}: must be below the nearest goal_distance, "
                 f"{distances[0]:g} m"
             )
-
-        # Numbers may come as text. The task calculates with what was checked.
-        object.__setattr__(self, "goal_distance", distances)
-        object.__setattr__(self, "goal_tolerance", tolerance)
         if self.distance_scale is not None:
-            scale = check_positive("distance_scale", self.distance_scale)
-            object.__setattr__(self, "distance_scale", scale)
+            store_positive(self, "distance_scale")
 
     @property
     def scale(self) -> float:  # type: ignore[override]

@@ -30,7 +30,7 @@ from acsar_gym.sensors.map.sensor import (
     log_share,
 )
 from acsar_gym.tasks.goal import GoalTask, goal_distance
-from acsar_gym.tasks.options import check_positive
+from acsar_gym.tasks.options import store_positive
 from acsar_gym.tasks.state import State
 from acsar_gym.tasks.task import Outcome, end_reward
 
@@ -126,8 +126,7 @@ class ObstacleGoal(NavigationTask):
     """Radius of the goal [m]."""
 
     def __post_init__(self) -> None:
-        tolerance = check_positive("goal_tolerance", self.goal_tolerance)
-        object.__setattr__(self, "goal_tolerance", tolerance)
+        store_positive(self, "goal_tolerance")
 
 
 class Barn(NavigationTask):

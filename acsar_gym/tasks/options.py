@@ -118,11 +118,13 @@ def check_finite(name: str, value: Any) -> float:
     return number
 
 
-def check_positive(name: str, value: Any) -> float:
-    """Return an option that must be a positive, finite number."""
+def store_positive(task: object, name: str) -> float:
+    """Store an option of a task, which may be text, as a positive number, and return it."""
+    value = getattr(task, name)
     number = read_number(value)
     if not 0.0 < number < math.inf:
         raise ConfigError(f"{name} = {show_value(value)}: must be a positive number")
+    object.__setattr__(task, name, number)
     return number
 
 

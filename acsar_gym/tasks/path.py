@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 from acsar_gym.jit import compilable
-from acsar_gym.tasks.options import check_positive
+from acsar_gym.tasks.options import store_positive
 from acsar_gym.tasks.state import Floats, Pose, State
 from acsar_gym.tasks.task import (
     OBSERVATION_LIMIT,
@@ -114,8 +114,7 @@ class PathFollow(Task):
     weights = PathWeights()
 
     def __post_init__(self) -> None:
-        max_cross_track = check_positive("max_cross_track", self.max_cross_track)
-        object.__setattr__(self, "max_cross_track", max_cross_track)
+        store_positive(self, "max_cross_track")
 
     def begin(self, state: State, memory: Any) -> None:
         """Find the robot's position on the path."""

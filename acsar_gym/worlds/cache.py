@@ -11,14 +11,13 @@ import contextlib
 import hashlib
 import os
 import pickle
-import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from acsar_gym.resources import cache_folder, hash_sources
+from acsar_gym.resources import cache_folder, hash_sources, package_version
 from acsar_gym.worlds import generators, moving, registry
 from acsar_gym.worlds.world import World
 
@@ -52,9 +51,7 @@ def fingerprint() -> str:
     """What generated worlds depend on: this package's version and sources, and NumPy's version."""
     sources = hash_sources(Path(__file__).parent)[:16]
     redrawn = hashlib.sha256(moving.REDRAWN.read_bytes()).hexdigest()[:8]
-    # A package that is used from its folder, without an installation, has no metadata.
-    version = sys.modules["acsar_gym"].__version__
-    return f"{version}-{sources}-{redrawn}-numpy-{np.__version__}"
+    return f"{package_version()}-{sources}-{redrawn}-numpy-{np.__version__}"
 
 
 @cache

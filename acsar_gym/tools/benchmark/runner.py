@@ -27,7 +27,6 @@ from acsar_gym.tools.evaluation.episode import Episode
 from acsar_gym.tools.evaluation.runs import EpisodeJob
 from acsar_gym.tools.jobs import run_jobs
 from acsar_gym.tools.training.folders import make_folder
-from acsar_gym.tools.training.recipes import name_errors
 
 PLAN_FILE = "plan.json"
 CELLS_FILE = "cells.jsonl"
@@ -65,7 +64,7 @@ def open_folder(plan: Plan, out: Path | None, resume: Path | None) -> Path:
         return folder
 
     # Results of a benchmark are comparable only if nothing has changed while it ran.
-    with name_errors(f"--resume {resume}: {PLAN_FILE}"):
+    with reading.name_errors(f"--resume {resume}: {PLAN_FILE}"):
         old = reading.parse_json(reading.read_content(resume / PLAN_FILE, MAX_FILE_BYTES))
     for name in find_changes(old, about):
         raise ConfigError(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from acsar_gym.errors import ConfigError, explain_error, require_extra
-from acsar_gym.recording.messages import package_version
+from acsar_gym.resources import package_version
 from acsar_gym.tools.datasets.demonstrations import Demonstrations
 
 MINARI_FOLDER = "MINARI_DATASETS_PATH"

@@ -21,7 +21,6 @@ from acsar_gym.errors import ConfigError, explain_error
 from acsar_gym.resources import PACKAGE
 from acsar_gym.tools.evaluation import provenance
 from acsar_gym.tools.training.options import TrainingOptions
-from acsar_gym.tools.training.recipes import name_errors
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -211,7 +210,7 @@ def resume_options(options: TrainingOptions, folder: Path) -> tuple[TrainingOpti
         ConfigError: The folder has no model, or is of another training.
     """
     config = folder / CONFIG_FILE
-    with name_errors(f"--resume {folder}"):
+    with reading.name_errors(f"--resume {folder}"):
         text = reading.decode_text(reading.read_file(config, MAX_CONFIG_BYTES))
         run = (reading.parse_yaml(text) or {}).get(RUN_KEY)
         if not isinstance(run, dict):

@@ -7,10 +7,9 @@ The keys are stable-baselines3's own, and `n_timesteps`, `n_envs`, `env_kwargs` 
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import inspect
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -193,20 +192,20 @@ def read_recipe(algo: str, env_id: str, file: Path | None = None, package: str =
         ConfigError: The file can't be used. The message names file and key.
     """
     path = file or AGENTS / "recipes" / f"{algo}.yml"
-    with name_errors(path):
+    with reading.name_errors(path):
         text = reading.decode_text(reading.read_content(path, MAX_RECIPE_BYTES))
         entries = reading.parse_yaml(text)
         if not isinstance(entries, dict) or not {env_id, DEFAULT_KEY} & set(entries):
             raise ConfigError(f"has no {show_value(env_id)} and no '{DEFAULT_KEY}'")
 
     key = env_id if env_id in entries else DEFAULT_KEY
-    with name_errors(path, key):
+    with reading.name_errors(path, key):
         if not isinstance(entries[key], dict):
             raise ConfigError("must be hyperparameters by name")
         values = {"n_envs": 1, **entries[key]}
         # YAML reads 1e6 as a float.
         for name in ("n_timesteps", "n_envs"):
-            with name_errors(name):
+            with reading.name_errors(name):
                 values[name] = parse_count(str(values.get(name)))
                 if values[name] < 1:
                     raise ValueError("must be at least 1")
@@ -267,12 +266,3 @@ def _check_modules(key: str, value: Any, package: str) -> None:
         raise ConfigError(
             f"{key}: {show_value(value)}: a recipe imports nothing but the package of --env"
         )
-
-
-@contextlib.contextmanager
-def name_errors(*names: object) -> Iterator[None]:
-    """Put file and keys in front of the errors that are raised in this context."""
-    try:
-        yield
-    except (ConfigError, TypeError, ValueError) as error:
-        raise ConfigError(": ".join([*map(str, names), str(error)])) from error

@@ -88,13 +88,17 @@ def test_read_recipe_imports_nothing_that_a_stranger_names(
     assert "evil" not in sys.modules
 
 
-def test_import_wrappers_gives_them_their_arguments(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "my_wrappers.py").write_text("def scale(env, factor): return env * factor\n")
+@pytest.fixture
+def user_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, whose modules can be imported in this test only."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    file = tmp_path / "mine.yml"
+    return tmp_path
+
+
+def test_import_wrappers_gives_them_their_arguments(user_folder: Path) -> None:
+    (user_folder / "my_wrappers.py").write_text("def scale(env, factor): return env * factor\n")
+    file = user_folder / "mine.yml"
     wrappers = [recipes.BATCH_WRAPPER, {"my_wrappers.scale": {"factor": 3}}]
     file.write_text(yaml.safe_dump({"default": {"n_timesteps": 8, "vec_env_wrapper": wrappers}}))
     recipe = recipes.read_recipe("ppo", "mine/Task-v0", file, "my_wrappers")
@@ -110,12 +114,10 @@ def test_build_arguments_takes_a_list_for_a_tuple(tmp_path: Path) -> None:
 
 
 def test_build_arguments_makes_schedules_and_imports_from_the_package_of_the_env(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    user_folder: Path,
 ) -> None:
-    (tmp_path / "my_networks.py").write_text("from torch.nn import ReLU as MyUnit\n")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    file = tmp_path / "mine.yml"
+    (user_folder / "my_networks.py").write_text("from torch.nn import ReLU as MyUnit\n")
+    file = user_folder / "mine.yml"
     values: dict[str, Any] = {
         "n_timesteps": 8,
         "learning_rate": "lin_0.004",
